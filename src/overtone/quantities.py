@@ -1,0 +1,176 @@
+"""Every named array once: symbol, SI unit and meaning; datasets are checked against it.
+
+Dimensions are named, arrays carry SI units in ``attrs["units"]`` and angles are radians in the lag
+convention ``q = A0 + sum A_n cos(n w t - phi_n)``. What was not measured is absent, never zero.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from overtone.errors import ObservablesError
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A named array: what it is called in a dataset, in a formula, and what it means."""
+
+    name: str
+    symbol: str
+    unit: str
+    meaning: str
+    kind: str
+    """``observable``, ``force``, ``energy``, ``property`` or ``quality``."""
+
+
+_QUANTITIES = (
+    Quantity("height", "h", "m", "topography as the feedback recorded it", "observable"),
+    Quantity("A0", "A_0", "m", "mean deflection, zero far from the sample", "observable"),
+    Quantity("F_cons", "F_cons", "N", "conservative force harmonic (cosine coefficient)", "force"),
+    Quantity("F_diss", "F_diss", "N", "dissipative force harmonic (sine coefficient)", "force"),
+    Quantity("dissipation", "E_dis", "J", "energy lost in the contact per cycle", "energy"),
+    Quantity("virial", "V_ts", "J", "virial of the tip-sample force, A1 CONS_1 / 2", "energy"),
+    Quantity("regime", "", "1", "sign of the first conservative harmonic", "energy"),
+    Quantity("modulus", "E_s", "Pa", "elastic modulus of the sample", "property"),
+    Quantity("adhesion", "F_ad", "N", "force of adhesion", "property"),
+    Quantity("indentation", "delta_max", "m", "maximum indentation in a cycle", "property"),
+    Quantity("residual", "N_r", "1", "relative residual norm of the force harmonics", "quality"),
+    Quantity("amplification", "", "1", "error of ln E per relative error of a force harmonic", "quality"),
+    Quantity("uncertainty", "sigma_lnE", "1", "amplification times the stated noise: linearised error of ln E", "quality"),
+    Quantity("start_spread", "", "1", "range of ln E over the starting points", "quality"),
+    Quantity("status", "", "1", "what this pixel can be trusted for", "quality"),
+)
+_BY_NAME = {quantity.name: quantity for quantity in _QUANTITIES}
+_HARMONIC = re.compile(r"(A|phi)([1-9]\d*)")
+_UNSCREENED = "_unscreened"
+
+
+def quantity(name: str) -> Quantity | None:
+    """Return the record of a named array, or None where overtone does not know the name.
+
+    Harmonic observables are known for every order; ``<property>_unscreened`` is a property as the
+    estimator returned it, before pixels that the data do not determine were set to NaN.
+
+    Examples
+    --------
+    >>> quantity("phi2").unit, quantity("A7").symbol, quantity("nonsense")
+    ('rad', 'A_7', None)
+    """
+    match = _HARMONIC.fullmatch(name)
+    if match:
+        order = match.group(2)
+        if match.group(1) == "A":
+            return Quantity(name, f"A_{order}", "m", f"amplitude of harmonic {order}", "observable")
+        return Quantity(name, f"phi_{order}", "rad", f"phase lag of harmonic {order}", "observable")
+    if name.endswith(_UNSCREENED):
+        base = _BY_NAME.get(name.removesuffix(_UNSCREENED))
+        if base is not None and base.kind == "property":
+            return Quantity(name, base.symbol, base.unit, base.meaning + ", every converged pixel", base.kind)
+        return None
+    return _BY_NAME.get(name)
+
+
+def known_quantities() -> tuple[Quantity, ...]:
+    """Return every quantity, the first three harmonics standing for all orders."""
+    harmonics = [name for n in (1, 2, 3) for name in (f"A{n}", f"phi{n}")]
+    records = (quantity(name) for name in harmonics)
+    return tuple(record for record in records if record is not None) + _QUANTITIES
+
+
+def named_array(
+    name: str,
+    values: Any,
+    dims: Sequence[Hashable],
+    coords: Mapping[Any, Any] | None = None,
+    **attributes: Any,
+) -> xr.DataArray:
+    """Build an array that carries its unit and meaning.
+
+    Parameters
+    ----------
+    name : str
+        A known quantity.
+    values : array
+        Values in SI units with shape ``dims``.
+    dims : sequence of str
+        Dimension names.
+    coords : mapping, optional
+        Coordinates; those of other dimensions are left out.
+    **attributes
+        Further attributes of the array.
+
+    Raises
+    ------
+    ObservablesError
+        If the name is not a known quantity.
+    """
+    record = quantity(name)
+    if record is None:
+        raise ObservablesError(f"{name!r} is not a quantity of overtone", hint="a name of the glossary")
+    kept = {key: value for key, value in (coords or {}).items() if set(getattr(value, "dims", (key,))) <= set(dims)}
+    attrs = {"units": record.unit, "long_name": record.meaning, **attributes}
+    return xr.DataArray(np.asarray(values), dims=tuple(dims), coords=kept, name=name, attrs=attrs)
+
+
+def harmonic_orders(observables: xr.Dataset) -> tuple[int, ...]:
+    """Return the orders whose amplitude and phase are both present, 0 where A0 is.
+
+    Examples
+    --------
+    >>> harmonic_orders(xr.Dataset({"A1": 1.0, "phi1": 1.0, "A3": 1.0}))
+    (1,)
+    """
+    orders = [0] if "A0" in observables else []
+    amplitudes = (_HARMONIC.fullmatch(str(name)) for name in observables.data_vars)
+    found = {int(match.group(2)) for match in amplitudes if match and match.group(1) == "A"}
+    return tuple(orders + sorted(n for n in found if f"phi{n}" in observables))
+
+
+def validate_observables(observables: xr.Dataset) -> xr.Dataset:
+    """Check that a dataset keeps the contract of observables and return it unchanged.
+
+    Parameters
+    ----------
+    observables : Dataset
+        Variables ``A1``, ``phi1`` and any of ``A0``, ``A2``, ``phi2``, ... on any dimensions, SI units.
+
+    Raises
+    ------
+    ObservablesError
+        If A1 or phi1 is missing, a unit is not SI, a dimension is empty, an amplitude is negative,
+        or no pixel has both A1 and phi1.
+    """
+    missing = [name for name in ("A1", "phi1") if name not in observables]
+    if missing:
+        raise ObservablesError(
+            f"observables lack {' and '.join(missing)}",
+            expected="A1 and phi1 at least",
+            got=", ".join(map(str, observables.data_vars)) or "an empty dataset",
+            hint="name the channel, for example --channel A1=Amplitude",
+        )
+    for name, array in observables.data_vars.items():
+        record = quantity(str(name))
+        if record is None or record.kind != "observable":
+            continue
+        if array.size == 0:
+            raise ObservablesError(f"{name} has no pixels", expected="at least one", got=str(dict(array.sizes)))
+        unit = array.attrs.get("units", record.unit)
+        if unit != record.unit:
+            raise ObservablesError(f"{name} is not in SI units", expected=record.unit, got=str(unit))
+        if not np.issubdtype(array.dtype, np.floating):
+            raise ObservablesError(f"{name} is not an array of floats", got=str(array.dtype))
+        if record.symbol.startswith("A_") and record.name != "A0" and bool((array < 0).any()):
+            raise ObservablesError(
+                f"{name} is negative in {int((array < 0).sum())} of {array.size} pixels",
+                expected="an amplitude, which has no sign",
+                hint="the file may hold the amplitude error (amplitude minus set-point) or a flattened channel",
+            )
+    if not bool((np.isfinite(observables["A1"]) & np.isfinite(observables["phi1"])).any()):
+        raise ObservablesError("no pixel has both A1 and phi1", got="NaN everywhere")
+    return observables
