@@ -1,0 +1,1 @@
+"""Contact and probe make a motion."""

@@ -1,0 +1,1 @@
+"""What the microscope adds to the signals."""

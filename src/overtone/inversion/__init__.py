@@ -1,0 +1,1 @@
+"""From force harmonics to material properties: one file a method, one result type."""

@@ -1,0 +1,320 @@
+"""Observables to maps of material properties, with what each pixel can be trusted for."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+import numpy.typing as npt
+import xarray as xr
+
+from overtone import provenance
+from overtone.blocks import run_blocks
+from overtone.contact.models import MODULUS, check_poisson_ratio, contact_model
+from overtone.dynamics.steady import required_radius
+from overtone.errors import InversionError
+from overtone.harmonics import energy, far_phase, read_receptance, to_force_harmonics
+from overtone.instrument.noise import complete_noise
+from overtone.inversion import least_squares
+from overtone.probe import Probe, format_probe
+from overtone.quantities import harmonic_orders, named_array
+
+DETERMINED = 0
+NOT_DETERMINED = 1
+START_DEPENDENT = 2
+POOR_FIT = 3
+AT_BOUND = 4
+NOT_CONVERGED = 5
+MISSING_DATA = 6
+STATUS_MEANINGS = {
+    DETERMINED: "determined",
+    NOT_DETERMINED: "not_determined_by_these_data",
+    START_DEPENDENT: "answer_depends_on_start",
+    POOR_FIT: "model_does_not_fit",
+    AT_BOUND: "at_bound",
+    NOT_CONVERGED: "not_converged",
+    MISSING_DATA: "missing_data",
+}
+STATUS_FLAGS = {"flag_values": list(STATUS_MEANINGS), "flag_meanings": " ".join(STATUS_MEANINGS.values())}
+
+HARMONIC_SETS = ((0, 1, 2), (1, 2, 3))
+METHODS = {"least-squares": "the published estimator, for reproduction"}
+POOR_RESIDUAL = 0.1
+_SAME_ANSWER = 1e-3  # range of ln E below which two starting points found the same minimum
+_BLOCK = 256
+
+
+def map_properties(
+    observables: xr.Dataset,
+    probe: Probe,
+    *,
+    model: str,
+    poisson_ratio: float,
+    method: str = "least-squares",
+    harmonics: Sequence[int] = (0, 1, 2),
+    noise: Mapping[str, float] | None = None,
+    intermolecular_distance: float = 0.2e-9,
+    progress: Callable[[int, int], None] | None = None,
+) -> xr.Dataset:
+    """Map modulus, adhesion and indentation, and how far the data determine them.
+
+    Parameters
+    ----------
+    observables : Dataset
+        Observables of the harmonics asked for, any dimensions. An attribute
+        ``cannot_conclude`` (text) marks scans whose higher harmonics cannot be put down to contact:
+        every pixel then is "not determined".
+    probe : Probe
+        With a tip radius.
+    model : str
+        Key of an invertible contact model.
+    poisson_ratio : float
+        Poisson's ratio of the sample; it has no default.
+    method : str
+        ``least-squares``, the published estimator, for reproduction.
+    harmonics : sequence of int
+        (0, 1, 2) or (1, 2, 3).
+    noise : mapping, optional
+        Standard deviation of each observable [m, rad], ``{"A0": 5e-12, "phi1": 2e-3, "A2": 1e-12}``;
+        `overtone.instrument.noise.ORDINARY_NOISE` where not stated.
+    intermolecular_distance : float
+        a0 [m].
+    progress : callable, optional
+        Called with (pixels done, pixels in all).
+
+    Returns
+    -------
+    Dataset
+        On the dimensions of A1: ``modulus`` [Pa], ``adhesion`` [N], ``indentation`` [m], NaN unless the
+        status is "determined"; the same names with ``_unscreened`` for what the estimator returned at
+        every pixel it finished; ``residual`` (N_r), ``amplification`` (norm of d ln E per independent
+        relative error of each harmonic), ``uncertainty`` (the same with the stated noise: linearised
+        standard deviation of ln E), ``start_spread`` (range of ln E over the starting points), ``status``.
+
+    Raises
+    ------
+    InversionError, ContactModelError, ObservablesError, OvertoneError
+        If the method or model is unknown, a harmonic or the tip radius is missing, or a ratio is out of range.
+
+    Notes
+    -----
+    The linearised uncertainty is itself a lower bound: far from the minimum the valley bends. It assumes
+    noise that differs from pixel to pixel; errors shared by the scan (1 pm of A0, 1 degree of phase) add to
+    it and do not average out.
+    """
+    if method not in METHODS:
+        raise InversionError("unknown method", expected=", ".join(METHODS), got=repr(method))
+    record = contact_model(model)
+    if not record.invertible:
+        raise InversionError(
+            f"model {model!r} serves simulation only", hint="dmt-linear, its invertible neighbour"
+        )
+    check_poisson_ratio(poisson_ratio)
+    radius = required_radius(probe)
+    orders = tuple(harmonics)
+    if orders not in HARMONIC_SETS:
+        raise InversionError("harmonics do not fit the method", expected="(0, 1, 2) or (1, 2, 3)", got=str(orders))
+    missing = [n for n in orders if n not in harmonic_orders(observables)]
+    if missing:
+        raise InversionError(
+            f"harmonic {missing[0]} was not measured",
+            expected=f"harmonics {orders}",
+            got=f"harmonics {harmonic_orders(observables)}",
+            hint="another set of harmonics, or energy and virial, which need A1 and phi1 only",
+        )
+    sigma = complete_noise(noise, orders)
+    force = to_force_harmonics(observables, probe)
+    dims = observables["A1"].dims
+    # (pixel, harmonic), every array on the dimensions of A1
+    flat = {
+        name: observables[name].broadcast_like(observables["A1"]).transpose(*dims).values.ravel()
+        for name in _needed(orders)
+    }
+    cons = force["F_cons"].sel(harmonic=list(orders)).transpose(*dims, "harmonic").values
+    cons = np.ascontiguousarray(cons.reshape(-1, len(orders)))
+    count = cons.shape[0]
+
+    unknowns = [*record.unknowns, None]
+    n = len(unknowns)
+    lower = np.log([p.lower if p else least_squares.MIN_INDENTATION for p in unknowns])
+    upper = np.log([p.upper if p else 1.0 for p in unknowns])
+    starts = [np.log([E, F, d] if n == 3 else [E, d]) for E, F, d in least_squares.STARTS]
+    contact = least_squares.Contact(
+        record.tail,
+        intermolecular_distance,
+        (1.0 - probe.tip.poisson_ratio**2) / probe.tip.modulus,
+        1.0 - poisson_ratio**2,
+        math.sqrt(radius),
+    )
+    best = np.full((count, n), math.nan)
+    residual, amplification = np.full(count, math.nan), np.full(count, math.nan)
+    uncertainty, spread = np.full(count, math.nan), np.full(count, math.nan)
+    status = np.full(count, MISSING_DATA, np.int8)
+
+    def run(block: slice) -> None:
+        F, observed = cons[block], {name: values[block] for name, values in flat.items()}
+        usable = np.isfinite(F).all(axis=1) & (F != 0.0).all(axis=1) & (observed["A1"] > 0.0)
+        if not usable.any():
+            return
+        pixels = np.flatnonzero(usable) + block.start
+        F = np.ascontiguousarray(F[usable])
+        fits = [_fit(F, observed["A1"][usable], orders, contact, lower, upper, start) for start in starts]
+        solution, norm, gain, outcome = (np.stack(parts) for parts in zip(*fits, strict=True))
+        chosen = np.argmin(norm, axis=0)[None, :]
+        pick = np.take_along_axis
+        gain = pick(gain, chosen[..., None], 0)[0]
+        best[pixels] = pick(solution, chosen[..., None], 0)[0]
+        residual[pixels] = pick(norm, chosen, 0)[0]
+        amplification[pixels] = np.linalg.norm(gain, axis=1)
+        relative = _force_errors({k: v[usable] for k, v in observed.items()}, orders, probe, sigma) / abs(F)[..., None]
+        uncertainty[pixels] = np.linalg.norm(np.einsum("pi,pij->pj", gain, relative), axis=1)
+        spread[pixels] = np.ptp(solution[..., 0], axis=0)
+        status[pixels] = _judge(
+            pick(outcome, chosen, 0)[0], residual[pixels], uncertainty[pixels], spread[pixels]
+        )
+
+    run_blocks(run, count, _BLOCK, progress)
+    reason = observables.attrs.get("cannot_conclude", "")
+    if reason:
+        status[(status == DETERMINED) | (status == START_DEPENDENT)] = NOT_DETERMINED
+    values = np.exp(best)
+    values[(status == MISSING_DATA) | (status == NOT_CONVERGED)] = math.nan
+    names = [p.name if p else "indentation" for p in unknowns]
+    coords, shape = observables["A1"].coords, observables["A1"].shape
+    arrays: dict[str, xr.DataArray] = {}
+    for j, name in enumerate(names):
+        determined = np.where(status == DETERMINED, values[:, j], math.nan)
+        arrays[name] = named_array(name, determined.reshape(shape), dims, coords)
+        arrays[f"{name}_unscreened"] = named_array(
+            f"{name}_unscreened", values[:, j].reshape(shape), dims, coords
+        )
+    quality = {
+        "residual": residual,
+        "amplification": amplification,
+        "uncertainty": uncertainty,
+        "start_spread": spread,
+    }
+    for name, array in quality.items():
+        arrays[name] = named_array(name, array.reshape(shape), dims, coords)
+    arrays["status"] = named_array("status", status.reshape(shape), dims, coords, **STATUS_FLAGS)
+    attributes = {"model": model, "method": method, "method_note": METHODS[method]}
+    if reason:
+        attributes["cannot_conclude"] = reason
+    result = xr.Dataset(arrays, attrs=dict(observables.attrs) | attributes)
+    return provenance.record(
+        result,
+        "map_properties",
+        probe=format_probe(probe),
+        model=model,
+        method=method,
+        harmonics=orders,
+        poisson_ratio=poisson_ratio,
+        intermolecular_distance=intermolecular_distance,
+        noise=sigma,
+        noise_stated=sorted(noise or {}),
+    )
+
+
+def map_energy(observables: xr.Dataset, probe: Probe) -> xr.Dataset:
+    """Map force harmonics, dissipated energy and virial: what is known without A0 and A2.
+
+    Parameters
+    ----------
+    observables : Dataset
+        At least A1 and phi1.
+    probe : Probe
+        No tip radius needed.
+
+    Returns
+    -------
+    Dataset
+        ``F_cons``, ``F_diss``, ``dissipation``, ``virial``.
+    """
+    force = to_force_harmonics(observables, probe)
+    return force.drop_vars(["A1", "phi1"]).merge(energy(force, probe))
+
+
+def _needed(orders: tuple[int, ...]) -> list[str]:
+    names = ["A1", "phi1"]
+    for n in orders:
+        names += ["A0"] if n == 0 else [f"A{n}", f"phi{n}"] if n > 1 else []
+    return names
+
+
+def _fit(
+    F: npt.NDArray[np.float64],
+    amplitude: npt.NDArray[np.float64],
+    orders: tuple[int, ...],
+    contact: least_squares.Contact,
+    lower: npt.NDArray[np.float64],
+    upper: npt.NDArray[np.float64],
+    start: npt.NDArray[np.float64],
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.int8]]:
+    count, n = F.shape[0], start.size
+    solution, norm = np.empty((count, n)), np.empty(count)
+    gain, outcome = np.empty((count, 3)), np.empty(count, np.int8)
+    least_squares.fit_pixels(
+        F, np.array(orders), amplitude, contact, lower, upper, start, solution, norm, gain, outcome
+    )
+    return solution, norm, gain, outcome
+
+
+def _force_errors(
+    observed: Mapping[str, npt.NDArray[np.float64]],
+    orders: tuple[int, ...],
+    probe: Probe,
+    sigma: Mapping[str, float],
+) -> npt.NDArray[np.float64]:
+    """Return the error of each conservative harmonic per independent error, times its sigma.
+
+    Shape (pixel, harmonic, source). The first-harmonic phase is one source for all: it turns every
+    harmonic (theory of the phase reference), so its errors are correlated between them.
+    """
+    drive = probe.drive
+    receptance = read_receptance(probe, np.array(orders) * drive.frequency)
+    phase = observed["phi1"]
+    sources = ["phi1", *(f"A{n}" for n in orders), *(f"phi{n}" for n in orders if n > 1)]
+    out = np.zeros((phase.size, len(orders), len(sources)))
+    for i, (n, G) in enumerate(zip(orders, receptance, strict=True)):
+        column = sources.index(f"A{n}")
+        if n == 0:
+            out[:, i, column] = sigma["A0"] / abs(G)
+        elif n == 1:
+            turn = drive.free_amplitude * np.exp(1j * (phase - far_phase(probe)))
+            out[:, i, column] = sigma["A1"] * (1.0 / G).real
+            out[:, i, 0] = sigma["phi1"] * (-1j * turn / G).real
+        else:
+            unit = np.exp(1j * (n * phase - observed[f"phi{n}"]))
+            amplitude = observed[f"A{n}"]
+            across = sigma.get(f"phi{n}", math.nan) * amplitude if f"phi{n}" in sigma else sigma[f"A{n}"]
+            out[:, i, column] = sigma[f"A{n}"] * (unit / G).real
+            out[:, i, sources.index(f"phi{n}")] = across * (-1j * unit / G).real
+            out[:, i, 0] = sigma["phi1"] * amplitude * (1j * n * unit / G).real
+    return out
+
+
+def _judge(
+    outcome: npt.NDArray[np.int8],
+    residual: npt.NDArray[np.float64],
+    uncertainty: npt.NDArray[np.float64],
+    spread: npt.NDArray[np.float64],
+) -> npt.NDArray[np.int8]:
+    """Return the status of each fitted pixel; where several apply, the gravest."""
+    status = np.full(outcome.shape, DETERMINED, np.int8)
+    status[spread > _SAME_ANSWER] = START_DEPENDENT
+    status[~(uncertainty <= 1.0)] = NOT_DETERMINED
+    status[residual > POOR_RESIDUAL] = POOR_FIT
+    status[outcome == least_squares.AT_BOUND] = AT_BOUND
+    status[outcome == least_squares.STALLED] = NOT_CONVERGED
+    return status
+
+
+def determined_share(properties: xr.Dataset) -> float:
+    """Return the share of pixels whose modulus the data determine."""
+    return float((properties["status"] == DETERMINED).mean())
+
+
+def modulus_bounds() -> tuple[float, float]:
+    """Return the bounds between which a modulus is looked for [Pa]."""
+    return MODULUS.lower, MODULUS.upper

@@ -1,0 +1,309 @@
+"""netCDF: the files that overtone writes itself, and others' that keep to named dimensions and units."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Hashable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import xarray as xr
+
+from overtone.errors import FileFormatError, ObservablesError
+from overtone.io.atomic import atomic_path
+from overtone.io.recording import Channel, Recording
+from overtone.io.si import to_si
+
+_HDF5 = b"\x89HDF\r\n\x1a\n"
+_CLASSIC = b"CDF"
+_LENGTHS = ("y", "x", "z")
+_KNOWN_DIMS = {"y", "x", "z", "setpoint", "scan", "point"}
+# Deflate cannot shrink data more than this; whoever claims more has a damaged header.
+_LARGEST_RATIO = 1100
+_SLACK = 1 << 22
+
+
+def sniff(path: Path, head: bytes) -> bool:
+    """Tell whether the file begins like netCDF 4, which is HDF5, or like classic netCDF."""
+    return head.startswith((_HDF5, _CLASSIC))
+
+
+def save(dataset: xr.Dataset, path: str | Path) -> None:
+    """Write a dataset to a netCDF file, whole or not at all.
+
+    Arrays of floats are compressed without loss. Attributes that netCDF cannot hold, such as None,
+    truth values and nested records, are written as JSON text.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        Observables, force harmonics, properties or anything else xarray holds.
+    path : str or Path
+        Name that ends in ``.nc``; an existing file is replaced once the new one is complete.
+
+    Raises
+    ------
+    FileFormatError
+        If the name does not end in .nc, the folder does not exist or the file cannot be written.
+    ObservablesError
+        If the argument is no dataset, or holds arrays that netCDF cannot.
+    """
+    target = Path(path)
+    if target.suffix.lower() != ".nc":
+        raise FileFormatError(
+            f"cannot save as {target.name!r}",
+            expected="a name that ends in .nc (netCDF)",
+            got=repr(target.suffix),
+        )
+    if not isinstance(dataset, xr.Dataset):
+        raise ObservablesError(
+            "only datasets can be saved",
+            expected="an xarray.Dataset",
+            got=type(dataset).__name__,
+            hint="array.to_dataset(name=...) for a single array",
+        )
+    for name, array in dataset.variables.items():
+        if array.dtype.kind == "c":
+            raise ObservablesError(
+                f"{name} holds complex numbers, which netCDF does not",
+                hint="save real and imaginary part, or amplitude and phase, as two variables",
+            )
+    storable = dataset.drop_encoding().assign_attrs()
+    storable.attrs = _storable(dataset.attrs)
+    for name in storable.variables:
+        storable[name].attrs = _storable(dataset[name].attrs)
+    encoding = {
+        name: {"zlib": True, "complevel": 4}
+        for name, array in storable.variables.items()
+        if array.dtype.kind == "f" and array.ndim > 0 and array.size > 0
+    }
+    with atomic_path(target) as temporary:
+        try:
+            storable.to_netcdf(temporary, engine="h5netcdf", encoding=encoding)
+        except OSError:
+            raise
+        except Exception as error:
+            raise ObservablesError(
+                "the dataset cannot be written as netCDF",
+                got=f"{type(error).__name__} ({error})",
+                hint="plain numbers and text in variables, coordinates and names",
+            ) from error
+
+
+def load(path: str | Path) -> xr.Dataset:
+    """Return the dataset of a netCDF file as it was saved, in memory, with the file closed.
+
+    Parameters
+    ----------
+    path : str or Path
+        A file that :func:`save` wrote.
+
+    Raises
+    ------
+    FileFormatError
+        If the file is missing, damaged or no netCDF.
+    """
+    source = Path(path)
+    if not source.is_file():
+        raise FileFormatError(
+            f"there is no file {str(source)!r}",
+            expected="a netCDF file",
+            got="nothing",
+            hint="check the path",
+        )
+    with source.open("rb") as stream:
+        head = stream.read(8)
+    if not sniff(source, head):
+        raise FileFormatError(
+            f"{source.name} is no netCDF file",
+            expected="a file that overtone saved",
+            got=repr(head) if head else "an empty file",
+            hint="read_channels for the files of a microscope",
+        )
+    return _load(source, head)
+
+
+def read(path: Path) -> Recording:
+    """Read a netCDF file as a recording: every float variable over known dimensions is a channel.
+
+    A recording has one set of dimensions, that of ``A1`` or else the commonest; variables over
+    others are left out, and notes name them.
+
+    Parameters
+    ----------
+    path : Path
+        The .nc file.
+
+    Raises
+    ------
+    FileFormatError
+        If the file is damaged, is HDF5 of another layout, or holds no channel.
+    """
+    with path.open("rb") as stream:
+        dataset = _load(path, stream.read(8))
+    notes: list[str] = []
+    usable = {
+        str(name): array
+        for name, array in dataset.data_vars.items()
+        if array.dtype.kind == "f" and array.ndim > 0 and array.size > 0 and set(array.dims) <= _KNOWN_DIMS
+    }
+    if not usable:
+        raise FileFormatError(
+            f"{path.name} holds no channel",
+            expected="arrays of floats over y and x, z or point",
+            got=_listed({name: array.dims for name, array in dataset.data_vars.items()}) or "no variables",
+            hint="a file that overtone saved, or a netCDF file with these dimension names",
+        )
+    dims = _common_dims(usable)
+    channels = []
+    for name, array in usable.items():
+        if array.dims == dims:
+            channels.append(_channel(name, array, notes))
+    left_out = [str(name) for name in dataset.data_vars if name not in {channel.name for channel in channels}]
+    if left_out:
+        notes.append(
+            f"left out, because they are not floats over {' and '.join(dims)}: {', '.join(left_out)}"
+        )
+    return Recording(
+        path=path,
+        format="netcdf",
+        vendor="overtone",
+        dims=dims,
+        coords=_coordinates(dataset, dims, notes),
+        channels=tuple(channels),
+        metadata={str(key): _as_text(value) for key, value in dataset.attrs.items()},
+        notes=tuple(notes),
+    )
+
+
+# --- reading --------------------------------------------------------------------------------------
+
+
+def _load(path: Path, head: bytes) -> xr.Dataset:
+    if head.startswith(_CLASSIC):
+        raise FileFormatError(
+            f"{path.name} is a classic netCDF file",
+            expected="netCDF 4, which is what overtone writes",
+            got=f"version {head[3:4]!r} of the classic format",
+            hint="convert it with: nccopy -k nc4 old.nc new.nc",
+        )
+    with _reading(path):
+        dataset = xr.open_dataset(path, engine="h5netcdf", decode_times=False)
+    with dataset, _reading(path):
+        if not dataset.variables:
+            raise FileFormatError(
+                f"{path.name} is HDF5, but not in the layout of netCDF",
+                expected="arrays with named dimensions at the top of the file",
+                got="none",
+                hint="export other HDF5 files (.h5, .h5-jpk, NSID) as netCDF or .gsf",
+            )
+        # Compressed arrays may be larger than the file, but not by any factor.
+        claimed, size = dataset.nbytes, path.stat().st_size
+        if claimed > _LARGEST_RATIO * size + _SLACK:
+            raise FileFormatError(
+                f"{path.name} is damaged",
+                expected=f"arrays that fit into a file of {size} bytes",
+                got=f"{claimed} bytes claimed",
+                hint="copy the file again",
+            )
+        return dataset.load()
+
+
+@contextmanager
+def _reading(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except (FileFormatError, ImportError):
+        raise
+    except (
+        Exception
+    ) as error:  # h5py raises nearly every kind there is, damaged files and other layouts alike
+        raise FileFormatError(
+            f"{path.name} cannot be read as netCDF",
+            expected="a whole HDF5 file in the layout of netCDF 4",
+            got=f"{type(error).__name__} ({str(error)[:200]})",
+            hint="copy the file again, or export other HDF5 files (.h5, .h5-jpk, NSID) as netCDF or .gsf",
+        ) from error
+
+
+def _common_dims(usable: dict[str, xr.DataArray]) -> tuple[str, ...]:
+    if "A1" in usable:
+        return tuple(map(str, usable["A1"].dims))
+    counts = Counter(array.dims for array in usable.values())
+    return tuple(map(str, counts.most_common(1)[0][0]))
+
+
+def _channel(name: str, array: xr.DataArray, notes: list[str]) -> Channel:
+    values = array.values.astype(np.float64)
+    stated = str(array.attrs.get("units", "")).strip()
+    known = to_si(stated) if stated else None
+    if known is None:
+        notes.append(
+            f"{name}: the unit {stated!r} is not known" if stated else f"{name}: the file states no unit"
+        )
+        return Channel(name, values, None)
+    return Channel(name, values * known[0], known[1])
+
+
+def _coordinates(
+    dataset: xr.Dataset, dims: tuple[str, ...], notes: list[str]
+) -> dict[str, npt.NDArray[np.float64]]:
+    coords: dict[str, npt.NDArray[np.float64]] = {}
+    for name in dims:
+        if (
+            name not in dataset.coords
+            or dataset[name].dtype.kind not in "fiu"
+            or dataset[name].dims != (name,)
+        ):
+            continue
+        values = dataset[name].values.astype(np.float64)
+        stated = str(dataset[name].attrs.get("units", "")).strip()
+        known = to_si(stated) if stated else (1.0, "m" if name in _LENGTHS else "")
+        if known is None or (name in _LENGTHS and known[1] != "m"):
+            notes.append(f"coordinate {name}: {stated!r} is no length, so it was left out")
+            continue
+        if name in _LENGTHS and not stated:
+            notes.append(f"coordinate {name}: the file states no unit; metres were assumed")
+        coords[name] = values * known[0]
+    return coords
+
+
+def _listed(dims: dict[Hashable, tuple[Hashable, ...]]) -> str:
+    return ", ".join(f"{name}({', '.join(map(str, over))})" for name, over in list(dims.items())[:8])
+
+
+# --- attributes -----------------------------------------------------------------------------------
+
+
+def _storable(attributes: dict[Any, Any]) -> dict[str, Any]:
+    return {str(key): _attribute(value) for key, value in attributes.items()}
+
+
+def _attribute(value: Any) -> Any:
+    if isinstance(value, str):
+        return value.replace("\0", "")  # HDF5 text ends at a zero byte
+    if isinstance(value, bool | np.bool_):
+        return json.dumps(bool(value))
+    if isinstance(value, float | np.floating | np.integer):
+        return value
+    if isinstance(value, int) and -(2**63) <= value < 2**63:
+        return value
+    if isinstance(value, list | tuple) and all(type(item) in (int, float) for item in value):
+        value = np.array(value)
+    if isinstance(value, np.ndarray) and value.ndim == 1 and value.size and value.dtype.kind in "iuf":
+        return value
+    return _as_text(value)
+
+
+def _as_text(value: Any) -> str:
+    if isinstance(value, str):
+        return value
+    if isinstance(value, bytes):
+        return value.decode("latin-1").replace("\0", "")
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    return json.dumps(value, default=str)
