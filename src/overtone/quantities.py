@@ -48,14 +48,19 @@ _QUANTITIES = (
 )
 _BY_NAME = {quantity.name: quantity for quantity in _QUANTITIES}
 _HARMONIC = re.compile(r"(A|phi)([1-9]\d*)")
-_UNSCREENED = "_unscreened"
+_VARIANTS = {
+    "_unscreened": "every pixel the estimator finished",
+    "_lower": "lower end of the 90 % interval",
+    "_upper": "upper end of the 90 % interval",
+}
 
 
 def quantity(name: str) -> Quantity | None:
     """Return the record of a named array, or None where overtone does not know the name.
 
-    Harmonic observables are known for every order; ``<property>_unscreened`` is a property as the
-    estimator returned it, before pixels that the data do not determine were set to NaN.
+    Harmonic observables are known for every order. A property comes in variants: ``_lower`` and
+    ``_upper`` bound it, and ``_unscreened`` is what the estimator returned before pixels that the data do
+    not determine were set to NaN.
 
     Examples
     --------
@@ -68,11 +73,10 @@ def quantity(name: str) -> Quantity | None:
         if match.group(1) == "A":
             return Quantity(name, f"A_{order}", "m", f"amplitude of harmonic {order}", "observable")
         return Quantity(name, f"phi_{order}", "rad", f"phase lag of harmonic {order}", "observable")
-    if name.endswith(_UNSCREENED):
-        base = _BY_NAME.get(name.removesuffix(_UNSCREENED))
-        if base is not None and base.kind == "property":
-            return Quantity(name, base.symbol, base.unit, base.meaning + ", every converged pixel", base.kind)
-        return None
+    for suffix, meaning in _VARIANTS.items():
+        base = _BY_NAME.get(name.removesuffix(suffix))
+        if name.endswith(suffix) and base is not None and base.kind == "property":
+            return Quantity(name, base.symbol, base.unit, f"{base.meaning}, {meaning}", base.kind)
     return _BY_NAME.get(name)
 
 

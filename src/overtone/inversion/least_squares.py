@@ -22,13 +22,19 @@ pixel also carries the row of ``J^-1`` that turns relative errors of the harmoni
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from overtone.contact.terms import LINEAR_TAIL, linear_adhesion_harmonics, sphere_harmonics
+from overtone.inversion.linear import (
+    N_HARMONICS,
+    Contact,
+    best_in_box,
+    sample_modulus,
+    stiffness,
+    term_harmonics,
+)
 
 STARTS: tuple[tuple[float, float, float], ...] = (
     (0.05e9, 10e-9, 20e-9),
@@ -44,44 +50,9 @@ CONVERGED, STALLED, AT_BOUND = 0, 1, 2
 _STEP_TOLERANCE = 1e-12
 _DAMPED_STEPS = 60
 _VALLEY_STEPS = 200
-_HARMONICS = 3
 _UNKNOWNS = 3
 
 _Floats = npt.NDArray[np.float64]
-
-
-class Contact(NamedTuple):
-    """What a fit takes as known of the contact."""
-
-    tail: int
-    """Adhesive term of the model, a constant of `overtone.contact.terms`."""
-    a0: float
-    """Intermolecular distance [m]."""
-    tip_compliance: float
-    """(1 - nu_t^2)/E_t [1/Pa]."""
-    sample_factor: float
-    """1 - nu_s^2."""
-    root_radius: float
-    """sqrt(R) [m^0.5]."""
-
-
-@njit(cache=True, nogil=True)
-def _harmonics(
-    contact: Contact, amplitude: float, Delta: float, orders: npt.NDArray[np.int64], work: _Floats
-) -> None:
-    """Fill rows of ``work``: harmonics of the elastic and the adhesive term, each with its d/dDelta."""
-    n_max = orders[_HARMONICS - 1]
-    sphere_harmonics(amplitude, Delta, n_max, work[0], work[1])
-    if contact.tail == LINEAR_TAIL:
-        linear_adhesion_harmonics(amplitude, Delta, contact.a0, n_max, work[2], work[3])
-
-
-@njit(cache=True, nogil=True)
-def _stiffness(contact: Contact, modulus: float) -> tuple[float, float]:
-    """Return Lambda [N/m^1.5] of a sample modulus and d ln Lambda / d ln E_s."""
-    sample_compliance = contact.sample_factor / modulus
-    E_star = 1.0 / (contact.tip_compliance + sample_compliance)
-    return 4.0 / 3.0 * E_star * contact.root_radius, sample_compliance * E_star
 
 
 @njit(cache=True, nogil=True)
@@ -100,12 +71,12 @@ def _evaluate(
     The indentation is the last unknown; a model without adhesion has two.
     """
     n = x.shape[0]
-    Lambda, share = _stiffness(contact, math.exp(x[0]))
+    Lambda, share = stiffness(contact, math.exp(x[0]))
     Delta = math.exp(x[n - 1]) / (2.0 * amplitude)
-    _harmonics(contact, amplitude, Delta, orders, work)
+    term_harmonics(contact, amplitude, Delta, orders, work)
     adhesion = math.exp(x[1]) if n == _UNKNOWNS else 0.0
     total = 0.0
-    for i in range(_HARMONICS):
+    for i in range(N_HARMONICS):
         order, scale = orders[i], 1.0 / abs(observed[i])
         force, slope = Lambda * work[0, order], Lambda * work[1, order]
         J[i, 0] = force * share * scale
@@ -163,7 +134,7 @@ def _descend(
 ) -> tuple[float, bool]:
     """Move x to a minimum by Levenberg-Marquardt within bounds; return the cost and whether it converged."""
     n = x.shape[0]
-    trial_residual, trial_J = np.empty(_HARMONICS), np.empty((_HARMONICS, _UNKNOWNS))
+    trial_residual, trial_J = np.empty(N_HARMONICS), np.empty((N_HARMONICS, _UNKNOWNS))
     trial, step, b = np.empty(n), np.empty(n), np.empty(n)
     M = np.empty((_UNKNOWNS, _UNKNOWNS))
     cost = _evaluate(x, observed, orders, amplitude, contact, work, residual, J)
@@ -171,11 +142,11 @@ def _descend(
     for _ in range(_DAMPED_STEPS):
         for i in range(n):
             b[i] = 0.0
-            for k in range(_HARMONICS):
+            for k in range(N_HARMONICS):
                 b[i] -= J[k, i] * residual[k]
             for j in range(n):
                 M[i, j] = 0.0
-                for k in range(_HARMONICS):
+                for k in range(N_HARMONICS):
                     M[i, j] += J[k, i] * J[k, j]
         # An unknown that its bound holds back takes no part in this step.
         for i in range(n):
@@ -230,41 +201,19 @@ def _valley_floor(
     """
     n = x.shape[0]
     Delta = math.exp(x[n - 1]) / (2.0 * amplitude)
-    _harmonics(contact, amplitude, Delta, orders, work)
+    term_harmonics(contact, amplitude, Delta, orders, work)
     aa, ab, bb, ac, bc = 0.0, 0.0, 0.0, 0.0, 0.0
-    for i in range(_HARMONICS):
+    for i in range(N_HARMONICS):
         scale = 1.0 / abs(observed[i])
         a, c = work[0, orders[i]] * scale, observed[i] * scale
         b = work[2, orders[i]] * scale if n == _UNKNOWNS else 0.0
         aa, ab, bb, ac, bc = aa + a * a, ab + a * b, bb + b * b, ac + a * c, bc + b * c
-    soft, _ = _stiffness(contact, math.exp(lower[0]))
-    stiff, _ = _stiffness(contact, math.exp(upper[0]))
-    Lambda, adhesion = min(max(ac / aa, soft), stiff), 0.0
+    Lambda, adhesion = best_in_box(contact, aa, ab, bb, ac, bc, lower, upper)
+    x[0] = min(max(math.log(sample_modulus(contact, Lambda)), lower[0]), upper[0])
     if n == _UNKNOWNS:
-        weak, strong = math.exp(lower[1]), math.exp(upper[1])
-        determinant = aa * bb - ab * ab
-        free = False
-        if determinant > 1e-14 * aa * bb:
-            Lambda = (ac * bb - bc * ab) / determinant
-            adhesion = (bc * aa - ac * ab) / determinant
-            free = soft <= Lambda <= stiff and weak <= adhesion <= strong
-        if not free:
-            best = math.inf
-            for edge in range(4):
-                if edge < 2:
-                    L = soft if edge == 0 else stiff
-                    F = min(max((bc - ab * L) / bb, weak), strong)
-                else:
-                    F = weak if edge == 2 else strong
-                    L = min(max((ac - ab * F) / aa, soft), stiff)
-                value = aa * L * L + 2.0 * ab * L * F + bb * F * F - 2.0 * (ac * L + bc * F)
-                if value < best:
-                    best, Lambda, adhesion = value, L, F
         x[1] = math.log(adhesion)
-    E_star = 0.75 * Lambda / contact.root_radius
-    x[0] = min(max(math.log(contact.sample_factor / (1.0 / E_star - contact.tip_compliance)), lower[0]), upper[0])
     slope = 0.0
-    for i in range(_HARMONICS):
+    for i in range(N_HARMONICS):
         scale, order = 1.0 / abs(observed[i]), orders[i]
         force, change = Lambda * work[0, order], Lambda * work[1, order]
         if n == _UNKNOWNS:
@@ -325,7 +274,7 @@ def _modulus_gain(J: _Floats, n: int, gain: _Floats) -> None:
     The column of ln E is projected off the others twice instead of forming J^T J, which would square
     a condition that reaches 1e5.
     """
-    columns = np.zeros((_UNKNOWNS, _HARMONICS))
+    columns = np.zeros((_UNKNOWNS, N_HARMONICS))
     for position in range(n):
         v = columns[position]
         v[:] = J[:, (position + 1) % n]  # ln E comes last
@@ -338,7 +287,7 @@ def _modulus_gain(J: _Floats, n: int, gain: _Floats) -> None:
                 v /= norm
     direction = columns[n - 1]
     norm2 = (direction * direction).sum()
-    for i in range(_HARMONICS):
+    for i in range(N_HARMONICS):
         gain[i] = direction[i] / norm2 if norm2 > 0.0 else math.inf
 
 
@@ -375,8 +324,8 @@ def fit_pixels(
         Filled: x, N_r, d ln E per relative error of each harmonic, and one of CONVERGED, STALLED, AT_BOUND.
     """
     n = start.shape[0]
-    work = np.empty((4, orders[_HARMONICS - 1] + 1))
-    residual, J = np.empty(_HARMONICS), np.empty((_HARMONICS, _UNKNOWNS))
+    work = np.empty((4, orders[N_HARMONICS - 1] + 1))
+    residual, J = np.empty(N_HARMONICS), np.empty((N_HARMONICS, _UNKNOWNS))
     for pixel in range(observed.shape[0]):
         A, F, x = amplitude[pixel], observed[pixel], solution[pixel]
         top = upper.copy()

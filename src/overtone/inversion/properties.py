@@ -17,6 +17,8 @@ from overtone.errors import InversionError
 from overtone.harmonics import energy, far_phase, read_receptance, to_force_harmonics
 from overtone.instrument.noise import complete_noise
 from overtone.inversion import least_squares
+from overtone.inversion.linear import Contact
+from overtone.inversion.profile import CHI2_90, CHI2_999, modulus_range
 from overtone.probe import Probe, format_probe
 from overtone.quantities import harmonic_orders, named_array
 
@@ -41,8 +43,10 @@ STATUS_FLAGS = {"flag_values": list(STATUS_MEANINGS), "flag_meanings": " ".join(
 HARMONIC_SETS = ((0, 1, 2), (1, 2, 3))
 METHODS = {"least-squares": "the published estimator, for reproduction"}
 POOR_RESIDUAL = 0.1
+WIDEST_DETERMINED = math.log(10.0)
 _SAME_ANSWER = 1e-3  # range of ln E below which two starting points found the same minimum
 _BLOCK = 256
+_LEVELS = np.array([CHI2_90, CHI2_999])
 
 
 def map_properties(
@@ -90,7 +94,9 @@ def map_properties(
         status is "determined"; the same names with ``_unscreened`` for what the estimator returned at
         every pixel it finished; ``residual`` (N_r), ``amplification`` (norm of d ln E per independent
         relative error of each harmonic), ``uncertainty`` (the same with the stated noise: linearised
-        standard deviation of ln E), ``start_spread`` (range of ln E over the starting points), ``status``.
+        standard deviation of ln E), ``modulus_lower`` and ``modulus_upper`` (every modulus that some
+        indentation and adhesion reconcile with the data at 90 %), ``start_spread`` (range of ln E over the
+        starting points), ``status``.
 
     Raises
     ------
@@ -140,7 +146,7 @@ def map_properties(
     lower = np.log([p.lower if p else least_squares.MIN_INDENTATION for p in unknowns])
     upper = np.log([p.upper if p else 1.0 for p in unknowns])
     starts = [np.log([E, F, d] if n == 3 else [E, d]) for E, F, d in least_squares.STARTS]
-    contact = least_squares.Contact(
+    contact = Contact(
         record.tail,
         intermolecular_distance,
         (1.0 - probe.tip.poisson_ratio**2) / probe.tip.modulus,
@@ -150,6 +156,7 @@ def map_properties(
     best = np.full((count, n), math.nan)
     residual, amplification = np.full(count, math.nan), np.full(count, math.nan)
     uncertainty, spread = np.full(count, math.nan), np.full(count, math.nan)
+    low, high = np.full((count, _LEVELS.size), math.nan), np.full((count, _LEVELS.size), math.nan)
     status = np.full(count, MISSING_DATA, np.int8)
 
     def run(block: slice) -> None:
@@ -167,11 +174,30 @@ def map_properties(
         best[pixels] = pick(solution, chosen[..., None], 0)[0]
         residual[pixels] = pick(norm, chosen, 0)[0]
         amplification[pixels] = np.linalg.norm(gain, axis=1)
-        relative = _force_errors({k: v[usable] for k, v in observed.items()}, orders, probe, sigma) / abs(F)[..., None]
+        errors = _force_errors({k: v[usable] for k, v in observed.items()}, orders, probe, sigma)
+        relative = errors / abs(F)[..., None]
         uncertainty[pixels] = np.linalg.norm(np.einsum("pi,pij->pj", gain, relative), axis=1)
         spread[pixels] = np.ptp(solution[..., 0], axis=0)
+        softest, stiffest = np.empty((pixels.size, _LEVELS.size)), np.empty((pixels.size, _LEVELS.size))
+        modulus_range(
+            F,
+            _whitening(errors),
+            np.array(orders),
+            observed["A1"][usable],
+            contact,
+            lower,
+            upper,
+            _LEVELS,
+            softest,
+            stiffest,
+        )
+        # The scan is coarser than the narrowest solutions: the fit's own neighbourhood belongs to the range.
+        reach = uncertainty[pixels, None] * np.sqrt(_LEVELS)
+        found = best[pixels, :1]
+        low[pixels] = np.clip(np.fmin(softest, found - reach), lower[0], upper[0])
+        high[pixels] = np.clip(np.fmax(stiffest, found + reach), lower[0], upper[0])
         status[pixels] = _judge(
-            pick(outcome, chosen, 0)[0], residual[pixels], uncertainty[pixels], spread[pixels]
+            pick(outcome, chosen, 0)[0], residual[pixels], uncertainty[pixels], (high - low)[pixels, 1], spread[pixels]
         )
 
     run_blocks(run, count, _BLOCK, progress)
@@ -197,6 +223,8 @@ def map_properties(
     }
     for name, array in quality.items():
         arrays[name] = named_array(name, array.reshape(shape), dims, coords)
+    for name, bound in (("modulus_lower", low[:, 0]), ("modulus_upper", high[:, 0])):
+        arrays[name] = named_array(name, np.exp(bound).reshape(shape), dims, coords)
     arrays["status"] = named_array("status", status.reshape(shape), dims, coords, **STATUS_FLAGS)
     attributes = {"model": model, "method": method, "method_note": METHODS[method]}
     if reason:
@@ -246,7 +274,7 @@ def _fit(
     F: npt.NDArray[np.float64],
     amplitude: npt.NDArray[np.float64],
     orders: tuple[int, ...],
-    contact: least_squares.Contact,
+    contact: Contact,
     lower: npt.NDArray[np.float64],
     upper: npt.NDArray[np.float64],
     start: npt.NDArray[np.float64],
@@ -294,16 +322,34 @@ def _force_errors(
     return out
 
 
+def _whitening(errors: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Return the inverse Cholesky factor of the covariance of each pixel's force harmonics.
+
+    A ten-billionth of each variance is added on the diagonal, so that an observable stated as free of noise
+    cannot make the covariance singular.
+    """
+    covariance = np.einsum("pij,pkj->pik", errors, errors)
+    diagonal = np.einsum("pii->pi", covariance)
+    diagonal += 1e-10 * diagonal.sum(axis=1, keepdims=True)
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
+
+
 def _judge(
     outcome: npt.NDArray[np.int8],
     residual: npt.NDArray[np.float64],
     uncertainty: npt.NDArray[np.float64],
+    width: npt.NDArray[np.float64],
     spread: npt.NDArray[np.float64],
 ) -> npt.NDArray[np.int8]:
-    """Return the status of each fitted pixel; where several apply, the gravest."""
+    """Return the status of each fitted pixel; where several apply, the gravest.
+
+    Determined means two things: amplification times the stated noise is at most 1, and no modulus outside
+    one decade fits (``width``, the 99.9 % range of ln E). The first alone fails: noise throws one stiff pixel
+    in four onto a soft solution with a small amplification, which would pass for determined.
+    """
     status = np.full(outcome.shape, DETERMINED, np.int8)
     status[spread > _SAME_ANSWER] = START_DEPENDENT
-    status[~(uncertainty <= 1.0)] = NOT_DETERMINED
+    status[~((uncertainty <= 1.0) & (width <= WIDEST_DETERMINED))] = NOT_DETERMINED
     status[residual > POOR_RESIDUAL] = POOR_FIT
     status[outcome == least_squares.AT_BOUND] = AT_BOUND
     status[outcome == least_squares.STALLED] = NOT_CONVERGED

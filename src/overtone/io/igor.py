@@ -27,6 +27,8 @@ _VERSIONS = (1, 2, 3, 5)
 # Bytes of one real number by Igor's type code; text and complex waves are not maps.
 _ITEM_SIZES = {0x02: 4, 0x04: 8, 0x08: 1, 0x10: 2, 0x20: 4, 0x48: 1, 0x50: 2, 0x60: 4}
 _LABEL_SIZE = 32
+_MOST_LAYERS = 1000
+_LONGEST_NUMBER = 100
 _ASYLUM_KEYS = ("springconstant", "thermalq", "imagingmode", "invols")
 
 # What Asylum's software writes where nobody has calibrated.
@@ -111,11 +113,23 @@ def read(path: Path) -> Recording:
         coords = _coordinates(wave, settings, notes)
         stack = wave.values.reshape(*wave.values.shape[:2], -1)
         layers = [stack[:, :, i].T[::-1] for i in range(stack.shape[2])]
+    if len(layers) > _MOST_LAYERS:
+        raise FileFormatError(
+            f"{path.name} holds no map or curve that overtone reads",
+            expected=f"at most {_MOST_LAYERS} layers",
+            got=f"{len(layers)}",
+            hint="take single layers out of it in Igor",
+        )
     labels = [*labels[: len(layers)], *[""] * (len(layers) - len(labels))]
     channels = tuple(
-        _channel(i, label, layer, wave.unit, asylum, settings, notes)
+        _channel(i, label, layer, wave.unit, asylum, settings)
         for i, (label, layer) in enumerate(zip(labels, layers, strict=True))
     )
+    if not all(labels):
+        notes.append(f"{labels.count('')} of {len(labels)} layers have no label in the file")
+    without_unit = [channel.name for channel in channels if channel.unit is None]
+    if without_unit:
+        notes.append(f"no unit in the file: {', '.join(without_unit)}")
     if asylum:
         notes.extend(_changed_during_the_scan(wave.note))
     return Recording(
@@ -144,7 +158,7 @@ def _load(path: Path) -> _Wave:
     try:
         wave = binarywave.load(io.BytesIO(content))["wave"]
     except Exception as error:  # the library states no exceptions; the sizes are right, so it is the content
-        raise _damaged(path, "a readable wave", f"{type(error).__name__} ({error})") from error
+        raise _damaged(path, "a readable wave", f"{type(error).__name__} ({str(error)[:80]})") from error
     header = wave["wave_header"]
     with np.errstate(invalid="ignore"):  # a signalling NaN is a NaN like any other
         values = np.asarray(wave["wData"]).astype(np.float64).reshape(layout.dims, order="F")
@@ -294,7 +308,8 @@ class _Settings:
 
     def number(self, key: str) -> float | None:
         """Return the value of a key as a number, None where there is none or it is NaN."""
-        match = _NUMBER.fullmatch(self.text(key) or "")
+        text = self.text(key) or ""
+        match = _NUMBER.fullmatch(text) if len(text) <= _LONGEST_NUMBER else None
         value = float(match.group(1)) if match else math.nan
         return value if math.isfinite(value) else None
 
@@ -382,22 +397,16 @@ def _channel(
     wave_unit: str,
     asylum: bool,
     settings: _Settings,
-    notes: list[str],
 ) -> Channel:
     name, direction = label, None
     match = _DIRECTION.fullmatch(label)
     if match:
         # What follows the direction marks a processed copy and keeps it apart from the original.
         name, direction = match.group(1) + match.group(3), match.group(2).lower()
-    if not name:
-        name = f"layer {index + 1}"
-        notes.append(f"{name} has no label in the file")
     known = _unit_of_kind(name) if asylum and label else to_si(wave_unit) if wave_unit else None
     factor, unit = known if known is not None else (1.0, None)
-    if unit is None:
-        notes.append(f"{name}: the file states no unit")
     return Channel(
-        name=name,
+        name=name or f"layer {index + 1}",
         values=np.ascontiguousarray(values * factor),
         unit=unit,
         direction=direction,

@@ -84,7 +84,7 @@ def save(dataset: xr.Dataset, path: str | Path) -> None:
     with atomic_path(target) as temporary:
         try:
             storable.to_netcdf(temporary, engine="h5netcdf", encoding=encoding)
-        except OSError:
+        except (OSError, ImportError):
             raise
         except Exception as error:
             raise ObservablesError(
@@ -115,7 +115,7 @@ def load(path: str | Path) -> xr.Dataset:
             got="nothing",
             hint="check the path",
         )
-    with source.open("rb") as stream:
+    with _reading(source), source.open("rb") as stream:
         head = stream.read(8)
     if not sniff(source, head):
         raise FileFormatError(
@@ -192,6 +192,7 @@ def _load(path: Path, head: bytes) -> xr.Dataset:
             hint="convert it with: nccopy -k nc4 old.nc new.nc",
         )
     with _reading(path):
+        _open_once(path)
         dataset = xr.open_dataset(path, engine="h5netcdf", decode_times=False)
     with dataset, _reading(path):
         if not dataset.variables:
@@ -213,15 +214,23 @@ def _load(path: Path, head: bytes) -> xr.Dataset:
         return dataset.load()
 
 
+def _open_once(path: Path) -> None:
+    # h5netcdf reads this attribute while it opens a file; where that fails, it leaves an object
+    # behind that prints a traceback when it is thrown away. So it is tried here first.
+    import h5py  # type: ignore[import-untyped]
+
+    with h5py.File(path, "r") as file:
+        file.attrs.get("_nc3_strict")
+
+
 @contextmanager
 def _reading(path: Path) -> Iterator[None]:
     try:
         yield
     except (FileFormatError, ImportError):
         raise
-    except (
-        Exception
-    ) as error:  # h5py raises nearly every kind there is, damaged files and other layouts alike
+    # h5py raises nearly every kind there is, for damaged files and for other layouts alike.
+    except Exception as error:
         raise FileFormatError(
             f"{path.name} cannot be read as netCDF",
             expected="a whole HDF5 file in the layout of netCDF 4",

@@ -7,6 +7,7 @@ from overtone.units import conversion_factor
 
 # What a value may become, in the order of preference where two share a dimension.
 _SI_UNITS = ("m", "rad", "V", "Hz", "N", "N/m", "m/V", "Pa", "J", "W", "s", "K", "1")
+_LONGEST_UNIT = 40
 _SPELLED_OUT = {
     "degree": "deg",
     "degrees": "deg",
@@ -36,9 +37,11 @@ def to_si(unit: str) -> tuple[float, str] | None:
     ((1e-12, 'm'), (1e-09, 'm/V'), None)
     """
     text = _SPELLED_OUT.get(unit.strip().lower(), unit.strip())
+    if len(text) > _LONGEST_UNIT:
+        return None
     for target in _SI_UNITS:
         try:
             return conversion_factor(text, target), target
-        except UnitError:
+        except (UnitError, ArithmeticError):  # km^1000 is beyond any float
             continue
     return None

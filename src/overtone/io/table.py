@@ -32,6 +32,7 @@ _SLASH = re.compile(r"(.*?\S)\s*/\s*(\S.*)")
 # Not splitlines, for which some characters of foreign encodings end a line as well.
 _LINE_END = re.compile(r"\r\n|\r|\n")
 _NO_UNIT = ("", "-", "a.u.", "a. u.", "arb. units")
+_LONGEST_NAME = 200
 _MISSING = ("", "nan", "na", "n/a", "null", "-", "--")
 
 
@@ -171,6 +172,8 @@ def _columns(
     names = _cells(path, [(rows[0][0], header)], separator)[0]
     while names and not names[-1]:
         names.pop()
+    if max(map(len, names), default=0) > _LONGEST_NAME:
+        raise _unreadable(path, "column names of ordinary length", f"{max(map(len, names))} characters")
     headings = [_heading(name or f"column {i + 1}", notes) for i, name in enumerate(names)]
     duplicates = {name for name, _, _ in headings if sum(other == name for other, _, _ in headings) > 1}
     if duplicates:
