@@ -14,6 +14,7 @@ several modes ``G`` sums their answers, each weighted by how strongly the detect
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -181,7 +182,9 @@ def to_observables(force_harmonics: xr.Dataset, probe: Probe) -> xr.Dataset:
     orders = [int(n) for n in force_harmonics["harmonic"].values]
     if 1 not in orders or "A1" not in force_harmonics:
         raise ObservablesError(
-            "the motion is not determined", expected="harmonic 1 and the amplitude A1", got=f"harmonics {orders}"
+            "the motion is not determined",
+            expected="harmonic 1 and the amplitude A1",
+            got=f"harmonics {orders}",
         )
     force = force_harmonics["F_cons"] - 1j * force_harmonics["F_diss"]
     receptance = dict(
@@ -247,3 +250,44 @@ def energy(force_harmonics: xr.Dataset, probe: Probe) -> xr.Dataset:
             "virial": named_array("virial", virial.transpose(*dims), dims, coords),
         }
     )
+
+
+def regime(
+    observables: xr.Dataset,
+    probe: Probe,
+    alternatives: Sequence[tuple[Probe, float]] = (),
+    *,
+    noise: float = 0.0,
+) -> xr.DataArray:
+    """Return whether each pixel feels net attraction or repulsion: the sign of CONS_1, not of phi1 - 90 deg.
+
+    Parameters
+    ----------
+    observables : Dataset
+        A1 and phi1.
+    probe : Probe
+        The probe in use.
+    alternatives : sequence of (Probe, float)
+        Other readings of the same data: a probe that may be meant as well, and what to add to phi1 [rad].
+        A pixel whose sign they do not share is undetermined.
+    noise : float
+        Standard deviation of phi1 [rad]; a pixel whose CONS_1 is within two of it from zero is undetermined.
+
+    Returns
+    -------
+    DataArray
+        ``attractive`` (-1, CONS_1 > 0), ``undetermined`` (0) or ``repulsive`` (1) on the dimensions of A1;
+        NaN pixels are undetermined.
+    """
+    pair = observables[["A1", "phi1"]]
+    amplitude = pair["A1"]
+    forces = [
+        to_force_harmonics(pair.assign(phi1=pair["phi1"] + shift), other)["F_cons"].sel(harmonic=1, drop=True)
+        for other, shift in [(probe, 0.0), *alternatives]
+    ]
+    drive_force = probe.drive.free_amplitude / abs(complex(read_receptance(probe, probe.drive.frequency)))
+    floor = 2.0 * noise * drive_force
+    values = np.zeros(amplitude.shape, np.int8)
+    values[np.logical_and.reduce([force.values < -floor for force in forces])] = REPULSIVE
+    values[np.logical_and.reduce([force.values > floor for force in forces])] = ATTRACTIVE
+    return named_array("regime", values, amplitude.dims, amplitude.coords, **REGIME_FLAGS)

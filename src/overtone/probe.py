@@ -53,7 +53,9 @@ class Tip:
     def __post_init__(self) -> None:
         _require_positive(self, "radius", "modulus")
         if not -1.0 < self.poisson_ratio <= 0.5:
-            raise ProbeError("unphysical tip", expected="-1 < poisson_ratio <= 0.5", got=str(self.poisson_ratio))
+            raise ProbeError(
+                "unphysical tip", expected="-1 < poisson_ratio <= 0.5", got=str(self.poisson_ratio)
+            )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -147,7 +149,9 @@ class Detector:
 
     def __post_init__(self) -> None:
         if self.kind not in (DISPLACEMENT, SLOPE):
-            raise ProbeError("unknown detector", expected=f"{DISPLACEMENT!r} or {SLOPE!r}", got=repr(self.kind))
+            raise ProbeError(
+                "unknown detector", expected=f"{DISPLACEMENT!r} or {SLOPE!r}", got=repr(self.kind)
+            )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -227,7 +231,9 @@ def load_probe(path: str | Path) -> Probe:
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise ProbeError(f"cannot read the probe file {path}", got=str(error), hint="check the path") from error
+        raise ProbeError(
+            f"cannot read the probe file {path}", got=str(error), hint="check the path"
+        ) from error
     return parse_probe(text, source=path.name)
 
 
@@ -281,7 +287,9 @@ def _parse_cantilever(table: Any, faults: list[str]) -> Cantilever | None:
     elif single or not isinstance(entries, list):
         faults.append("[cantilever] must give either one mode or a list [[cantilever.modes]], not both")
         return None
-    modes = [_parse_record(Mode, entry, f"cantilever mode {i + 1}", faults) for i, entry in enumerate(entries)]
+    modes = [
+        _parse_record(Mode, entry, f"cantilever mode {i + 1}", faults) for i, entry in enumerate(entries)
+    ]
     if faults or any(mode is None for mode in modes):
         return None
     try:
@@ -331,7 +339,7 @@ def _with_unit(value: float, unit: str) -> str | float:
         return value
     display = display_unit(value, unit)
     for digits in range(1, 18):
-        text = f"{value * display.factor:.{digits}g} {display.label}"
+        text = f"{float(f'{value * display.factor:.{digits}g}')!r} {display.label}"
         if parse_quantity(text, unit) == value:
             return text
     return f"{value!r} {unit}"

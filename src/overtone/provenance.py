@@ -10,6 +10,7 @@ import xarray as xr
 from overtone._version import __version__
 
 _ATTRIBUTE = "history"
+_FINDINGS = "findings"
 
 
 def record(dataset: xr.Dataset, operation: str, **arguments: Any) -> xr.Dataset:
@@ -36,8 +37,28 @@ def record(dataset: xr.Dataset, operation: str, **arguments: Any) -> xr.Dataset:
 
 def history(dataset: xr.Dataset) -> list[dict[str, Any]]:
     """Return the entries of a dataset's history, oldest first."""
+    return _entries(dataset, _ATTRIBUTE)
+
+
+def add_finding(dataset: xr.Dataset, *sentences: str) -> xr.Dataset:
+    """Return the dataset with sentences for its reader: what was assumed, rejected or cannot be concluded.
+
+    Examples
+    --------
+    >>> findings(add_finding(xr.Dataset(), "A0 has no unit."))
+    ['A0 has no unit.']
+    """
+    return dataset.assign_attrs({_FINDINGS: json.dumps([*findings(dataset), *sentences])})
+
+
+def findings(dataset: xr.Dataset) -> list[str]:
+    """Return the sentences a dataset carries for its reader."""
+    return [str(sentence) for sentence in _entries(dataset, _FINDINGS)]
+
+
+def _entries(dataset: xr.Dataset, attribute: str) -> list[Any]:
     try:
-        entries = json.loads(dataset.attrs.get(_ATTRIBUTE, "[]"))
+        entries = json.loads(dataset.attrs.get(attribute, "[]"))
     except (TypeError, ValueError):
         return []
     return entries if isinstance(entries, list) else []

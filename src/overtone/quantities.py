@@ -42,7 +42,13 @@ _QUANTITIES = (
     Quantity("indentation", "delta_max", "m", "maximum indentation in a cycle", "property"),
     Quantity("residual", "N_r", "1", "relative residual norm of the force harmonics", "quality"),
     Quantity("amplification", "", "1", "error of ln E per relative error of a force harmonic", "quality"),
-    Quantity("uncertainty", "sigma_lnE", "1", "amplification times the stated noise: linearised error of ln E", "quality"),
+    Quantity(
+        "uncertainty",
+        "sigma_lnE",
+        "1",
+        "amplification times the stated noise: linearised error of ln E",
+        "quality",
+    ),
     Quantity("start_spread", "", "1", "range of ln E over the starting points", "quality"),
     Quantity("status", "", "1", "what this pixel can be trusted for", "quality"),
 )
@@ -117,7 +123,11 @@ def named_array(
     record = quantity(name)
     if record is None:
         raise ObservablesError(f"{name!r} is not a quantity of overtone", hint="a name of the glossary")
-    kept = {key: value for key, value in (coords or {}).items() if set(getattr(value, "dims", (key,))) <= set(dims)}
+    kept = {
+        key: value
+        for key, value in (coords or {}).items()
+        if set(getattr(value, "dims", (key,))) <= set(dims)
+    }
     attrs = {"units": record.unit, "long_name": record.meaning, **attributes}
     return xr.DataArray(np.asarray(values), dims=tuple(dims), coords=kept, name=name, attrs=attrs)
 
@@ -163,7 +173,9 @@ def validate_observables(observables: xr.Dataset) -> xr.Dataset:
         if record is None or record.kind != "observable":
             continue
         if array.size == 0:
-            raise ObservablesError(f"{name} has no pixels", expected="at least one", got=str(dict(array.sizes)))
+            raise ObservablesError(
+                f"{name} has no pixels", expected="at least one", got=str(dict(array.sizes))
+            )
         unit = array.attrs.get("units", record.unit)
         if unit != record.unit:
             raise ObservablesError(f"{name} is not in SI units", expected=record.unit, got=str(unit))

@@ -99,6 +99,8 @@ def parse_unit(text: str) -> tuple[float, _Dimension]:
                     hint='for example "94 nm", "16.4 N/m", "161.8 kHz", "41.5 nm/V"',
                 )
             power = sign * int(match.group(2) or 1)
+            if abs(power) > 6:
+                raise UnitError(f"power {power} in unit {text!r}", expected="a power of at most 6")
             factor *= known[0] ** power
             dimension = [a + power * b for a, b in zip(dimension, known[1], strict=True)]
     return factor, (dimension[0], dimension[1], dimension[2], dimension[3], dimension[4], dimension[5])
@@ -156,9 +158,13 @@ def parse_quantity(text: str | float, unit: str, name: str = "quantity") -> floa
     (16.4, 287.0)
     """
     match = _QUANTITY.fullmatch(str(text))
-    example = {"m": "94 nm", "N/m": "16.4 N/m", "Hz": "161.8 kHz", "Pa": "130 GPa", "rad": "90 deg"}.get(unit, unit)
+    example = {"m": "94 nm", "N/m": "16.4 N/m", "Hz": "161.8 kHz", "Pa": "130 GPa", "rad": "90 deg"}.get(
+        unit, unit
+    )
     if match is None:
-        raise UnitError(f"{name} is not a number with a unit", expected=f'text such as "{example}"', got=repr(text))
+        raise UnitError(
+            f"{name} is not a number with a unit", expected=f'text such as "{example}"', got=repr(text)
+        )
     number, unit_text = float(match.group(1)), match.group(2)
     if not unit_text:
         if unit != "1":

@@ -121,9 +121,28 @@ def test_damaged_netcdf(tmp_path):
     content = path.read_bytes()
     for seed in range(3):
         damage(content, tmp_path, ".nc", seed=seed, header=len(content) // 2)
+    random = np.random.default_rng(7)
+    for _ in range(50):
+        changed = bytearray(content)
+        changed[random.integers(8, len(content) - 60)] ^= 1 << random.integers(0, 8)
+        path.write_bytes(bytes(changed))
+        with pytest.raises(OvertoneError, match="damaged"):
+            load(path)
     path.write_bytes(content[:4000])
-    with pytest.raises(OvertoneError):
+    with pytest.raises(OvertoneError, match="cannot be read"):
         load(path)
+
+
+def test_netcdf_that_another_program_changed_opens(tmp_path):
+    import h5py
+
+    path = tmp_path / "a.nc"
+    save(xr.Dataset({"A1": ("point", [1.0, 2.0], {"units": "m"})}), path)
+    with h5py.File(path, "a") as file:
+        file.attrs["remark"] = "checked"
+        file["A1"][0] = 3.0
+    assert load(path).attrs["remark"] == "checked"
+    assert load(path)["A1"].values.tolist() == [3.0, 2.0]
 
 
 def test_damaged_tables(tmp_path):

@@ -220,7 +220,9 @@ def sample(
         E, F = np.broadcast_arrays(E, F)
     except ValueError as error:
         raise ContactModelError(
-            "shapes do not fit", expected="arrays that broadcast", got=f"modulus {E.shape}, adhesion {F.shape}"
+            "shapes do not fit",
+            expected="arrays that broadcast",
+            got=f"modulus {E.shape}, adhesion {F.shape}",
         ) from error
     return Sample(record, E, F, poisson_ratio, intermolecular_distance)
 

@@ -41,7 +41,8 @@ def adhesion_shape(tail: int, gap: float, a0: float) -> float:
         return 1.0
     if tail == LINEAR_TAIL:
         return max(0.0, 1.0 - gap / (2.0 * a0))
-    return (a0 / (a0 + gap)) ** 2
+    ratio = a0 / (a0 + gap)
+    return ratio * ratio
 
 
 @njit(cache=True, nogil=True)
@@ -66,7 +67,7 @@ def _power_series(order: int, power: float, prefactor: float, Delta: float) -> f
         total += term
         if abs(term) < 1e-17 * abs(total):
             break
-    return prefactor * Delta ** (power + 0.5) * total
+    return float(prefactor * Delta ** (power + 0.5) * total)
 
 
 # sqrt(pi) 2^p Gamma(p + 1) / Gamma(p + 3/2) for p = 1/2 and p = 3/2
@@ -94,7 +95,12 @@ def sphere_integrals(
         EK, EE = _elliptic(Delta)
         complement = 1.0 - Delta
         K0 = 4.0 * math.sqrt(2.0) / 3.0 * (EK * complement * (2.0 - 3.0 * Delta) - EE * 2.0 * u1)
-        K1 = -4.0 * math.sqrt(2.0) / 5.0 * (EK * complement * (2.0 - Delta) - 2.0 * EE * (1.0 - Delta * complement))
+        K1 = (
+            -4.0
+            * math.sqrt(2.0)
+            / 5.0
+            * (EK * complement * (2.0 - Delta) - 2.0 * EE * (1.0 - Delta * complement))
+        )
         root0 = 2.0 * math.sqrt(2.0) * (EE - complement * EK)
         root1 = K0 + u1 * root0  # cos psi = (cos psi - u1) + u1
     K[0] = K0
@@ -129,7 +135,9 @@ def _linear_tail_integral(n: int, u2: float, c: float) -> float:
         return u2 * c - math.sin(c)
     if n == 1:
         return u2 * math.sin(c) - 0.5 * c - 0.25 * math.sin(2.0 * c)
-    return u2 * math.sin(n * c) / n - 0.5 * (math.sin((n - 1) * c) / (n - 1) + math.sin((n + 1) * c) / (n + 1))
+    return u2 * math.sin(n * c) / n - 0.5 * (
+        math.sin((n - 1) * c) / (n - 1) + math.sin((n + 1) * c) / (n + 1)
+    )
 
 
 @njit(cache=True, nogil=True)

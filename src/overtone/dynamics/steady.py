@@ -34,7 +34,10 @@ from overtone.probe import Probe, format_probe
 from overtone.quantities import named_array
 
 FOUND, NO_STATE, NOT_CONVERGED = 0, 1, 2
-_STATUS_FLAGS = {"flag_values": [FOUND, NO_STATE, NOT_CONVERGED], "flag_meanings": "found no_state not_converged"}
+_STATUS_FLAGS = {
+    "flag_values": [FOUND, NO_STATE, NOT_CONVERGED],
+    "flag_meanings": "found no_state not_converged",
+}
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(10)
 _CONTACT_NODES, _CONTACT_WEIGHTS = np.polynomial.legendre.leggauss(24)
@@ -368,7 +371,12 @@ def hold_amplitude(
     states["state"] = (dims, status.reshape(shape), dict(_STATUS_FLAGS))
     states = states.merge(forces[["F_cons", "F_diss"]])
     return provenance.record(
-        states, "hold_amplitude", probe=format_probe(probe), model=sample.model.key, setpoint=setpoint, n_max=n_max
+        states,
+        "hold_amplitude",
+        probe=format_probe(probe),
+        model=sample.model.key,
+        setpoint=setpoint,
+        n_max=n_max,
     )
 
 

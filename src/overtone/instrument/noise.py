@@ -58,9 +58,7 @@ def complete_noise(noise: Mapping[str, float] | None, orders: tuple[int, ...]) -
     }
 
 
-def add_noise(
-    observables: xr.Dataset, noise: Mapping[str, float] | None = None, *, seed: int
-) -> xr.Dataset:
+def add_noise(observables: xr.Dataset, noise: Mapping[str, float] | None = None, *, seed: int) -> xr.Dataset:
     """Return observables with Gaussian noise, as a lock-in without drift would record them.
 
     Parameters

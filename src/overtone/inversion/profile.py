@@ -15,7 +15,14 @@ import numpy.typing as npt
 from numba import njit
 
 from overtone.contact.terms import NO_ADHESION
-from overtone.inversion.linear import N_HARMONICS, Contact, best_in_box, sample_modulus, stiffness, term_harmonics
+from overtone.inversion.linear import (
+    N_HARMONICS,
+    Contact,
+    best_in_box,
+    sample_modulus,
+    stiffness,
+    term_harmonics,
+)
 
 CHI2_90 = 2.705543454095404
 CHI2_999 = 10.827566170662733

@@ -11,16 +11,17 @@ import xarray as xr
 
 from overtone import provenance
 from overtone.blocks import run_blocks
-from overtone.contact.models import MODULUS, check_poisson_ratio, contact_model
+from overtone.contact.models import check_poisson_ratio, contact_model
 from overtone.dynamics.steady import required_radius
 from overtone.errors import InversionError
-from overtone.harmonics import energy, far_phase, read_receptance, to_force_harmonics
+from overtone.harmonics import UNDETERMINED, energy, far_phase, read_receptance, regime, to_force_harmonics
 from overtone.instrument.noise import complete_noise
 from overtone.inversion import least_squares
 from overtone.inversion.linear import Contact
 from overtone.inversion.profile import CHI2_90, CHI2_999, modulus_range
 from overtone.probe import Probe, format_probe
 from overtone.quantities import harmonic_orders, named_array
+from overtone.readings import reading_of
 
 DETERMINED = 0
 NOT_DETERMINED = 1
@@ -66,9 +67,8 @@ def map_properties(
     Parameters
     ----------
     observables : Dataset
-        Observables of the harmonics asked for, any dimensions. An attribute
-        ``cannot_conclude`` (text) marks scans whose higher harmonics cannot be put down to contact:
-        every pixel then is "not determined".
+        Observables of the harmonics asked for, any dimensions. Where their reading (see
+        `overtone.readings`) doubts one of these harmonics, every pixel is "not determined".
     probe : Probe
         With a tip radius.
     model : str
@@ -120,7 +120,9 @@ def map_properties(
     radius = required_radius(probe)
     orders = tuple(harmonics)
     if orders not in HARMONIC_SETS:
-        raise InversionError("harmonics do not fit the method", expected="(0, 1, 2) or (1, 2, 3)", got=str(orders))
+        raise InversionError(
+            "harmonics do not fit the method", expected="(0, 1, 2) or (1, 2, 3)", got=str(orders)
+        )
     missing = [n for n in orders if n not in harmonic_orders(observables)]
     if missing:
         raise InversionError(
@@ -197,12 +199,17 @@ def map_properties(
         low[pixels] = np.clip(np.fmin(softest, found - reach), lower[0], upper[0])
         high[pixels] = np.clip(np.fmax(stiffest, found + reach), lower[0], upper[0])
         status[pixels] = _judge(
-            pick(outcome, chosen, 0)[0], residual[pixels], uncertainty[pixels], (high - low)[pixels, 1], spread[pixels]
+            pick(outcome, chosen, 0)[0],
+            residual[pixels],
+            uncertainty[pixels],
+            (high - low)[pixels, 1],
+            spread[pixels],
         )
 
     run_blocks(run, count, _BLOCK, progress)
-    reason = observables.attrs.get("cannot_conclude", "")
-    if reason:
+    reading = reading_of(observables)
+    doubts = [reading.doubts[n] for n in orders if n in reading.doubts] if reading else []
+    if doubts:
         status[(status == DETERMINED) | (status == START_DEPENDENT)] = NOT_DETERMINED
     values = np.exp(best)
     values[(status == MISSING_DATA) | (status == NOT_CONVERGED)] = math.nan
@@ -227,8 +234,8 @@ def map_properties(
         arrays[name] = named_array(name, np.exp(bound).reshape(shape), dims, coords)
     arrays["status"] = named_array("status", status.reshape(shape), dims, coords, **STATUS_FLAGS)
     attributes = {"model": model, "method": method, "method_note": METHODS[method]}
-    if reason:
-        attributes["cannot_conclude"] = reason
+    if doubts:
+        attributes["cannot_conclude"] = " ".join(doubts)
     result = xr.Dataset(arrays, attrs=dict(observables.attrs) | attributes)
     return provenance.record(
         result,
@@ -244,23 +251,55 @@ def map_properties(
     )
 
 
-def map_energy(observables: xr.Dataset, probe: Probe) -> xr.Dataset:
-    """Map force harmonics, dissipated energy and virial: what is known without A0 and A2.
+def undetermined_properties(observables: xr.Dataset, model: str, reason: str) -> xr.Dataset:
+    """Return property maps that are NaN and "not determined" at every pixel, with the reason.
 
     Parameters
     ----------
     observables : Dataset
-        At least A1 and phi1.
+        Gives dimensions and coordinates.
+    model : str
+        Key of the contact model that was asked for.
+    reason : str
+        Why nothing can be concluded.
+    """
+    amplitude = observables["A1"]
+    unknowns = [*(parameter.name for parameter in contact_model(model).unknowns), "indentation"]
+    empty = np.full(amplitude.shape, math.nan)
+    arrays = {name: named_array(name, empty, amplitude.dims, amplitude.coords) for name in unknowns}
+    status = np.full(amplitude.shape, NOT_DETERMINED, np.int8)
+    arrays["status"] = named_array("status", status, amplitude.dims, amplitude.coords, **STATUS_FLAGS)
+    attributes = dict(observables.attrs) | {"model": model, "cannot_conclude": reason}
+    return provenance.record(xr.Dataset(arrays, attrs=attributes), "undetermined_properties", reason=reason)
+
+
+def map_energy(
+    observables: xr.Dataset, probe: Probe, *, noise: Mapping[str, float] | None = None
+) -> xr.Dataset:
+    """Map force harmonics, dissipated energy, virial and regime: what is known without A0 and A2.
+
+    Parameters
+    ----------
+    observables : Dataset
+        At least A1 and phi1. Where their reading (see `overtone.readings`) leaves other probes open, a
+        regime they do not share is undetermined; where it says the phase has no established zero, all are.
     probe : Probe
         No tip radius needed.
+    noise : mapping, optional
+        As for `map_properties`; the one of phi1 decides which sign of CONS_1 can be told.
 
     Returns
     -------
     Dataset
-        ``F_cons``, ``F_diss``, ``dissipation``, ``virial``.
+        ``F_cons``, ``F_diss``, ``dissipation``, ``virial``, ``regime``.
     """
     force = to_force_harmonics(observables, probe)
-    return force.drop_vars(["A1", "phi1"]).merge(energy(force, probe))
+    reading = reading_of(observables)
+    alternatives = reading.alternatives if reading else ()
+    signs = regime(observables, probe, alternatives, noise=complete_noise(noise, (1,))["phi1"])
+    if reading and not reading.phase_established:
+        signs = signs.copy(data=np.full(signs.shape, UNDETERMINED, np.int8))
+    return force.drop_vars(["A1", "phi1"]).merge(energy(force, probe)).assign(regime=signs)
 
 
 def _needed(orders: tuple[int, ...]) -> list[str]:
@@ -359,8 +398,3 @@ def _judge(
 def determined_share(properties: xr.Dataset) -> float:
     """Return the share of pixels whose modulus the data determine."""
     return float((properties["status"] == DETERMINED).mean())
-
-
-def modulus_bounds() -> tuple[float, float]:
-    """Return the bounds between which a modulus is looked for [Pa]."""
-    return MODULUS.lower, MODULUS.upper

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections import Counter
 from collections.abc import Hashable, Iterator
@@ -20,6 +21,10 @@ from overtone.io.si import to_si
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _CLASSIC = b"CDF"
+# A file that overtone saves ends with this line and the digest of all that stands before it. HDF5
+# ignores what follows its own end and cuts it off when another program changes the file.
+_SEAL = b"\novertone blake2b "
+_DIGEST_SIZE = 32
 _LENGTHS = ("y", "x", "z")
 _KNOWN_DIMS = {"y", "x", "z", "setpoint", "scan", "point"}
 # Deflate cannot shrink data more than this; whoever claims more has a damaged header.
@@ -35,7 +40,8 @@ def sniff(path: Path, head: bytes) -> bool:
 def save(dataset: xr.Dataset, path: str | Path) -> None:
     """Write a dataset to a netCDF file, whole or not at all.
 
-    Arrays of floats are compressed without loss. Attributes that netCDF cannot hold, such as None,
+    Arrays of floats are compressed without loss. The file ends with a digest, so that damage is
+    noticed when it is read again. Attributes that netCDF cannot hold, such as None,
     truth values and nested records, are written as JSON text.
 
     Parameters
@@ -92,6 +98,9 @@ def save(dataset: xr.Dataset, path: str | Path) -> None:
                 got=f"{type(error).__name__} ({error})",
                 hint="plain numbers and text in variables, coordinates and names",
             ) from error
+        digest = _digest(temporary, temporary.stat().st_size)
+        with temporary.open("ab") as stream:
+            stream.write(_SEAL + digest)
 
 
 def load(path: str | Path) -> xr.Dataset:
@@ -192,6 +201,7 @@ def _load(path: Path, head: bytes) -> xr.Dataset:
             hint="convert it with: nccopy -k nc4 old.nc new.nc",
         )
     with _reading(path):
+        _check_seal(path)
         _open_once(path)
         dataset = xr.open_dataset(path, engine="h5netcdf", decode_times=False)
     with dataset, _reading(path):
@@ -214,10 +224,37 @@ def _load(path: Path, head: bytes) -> xr.Dataset:
         return dataset.load()
 
 
+def _check_seal(path: Path) -> None:
+    """Refuse a sealed file that has changed, before HDF5, which damage can send into endless loops."""
+    size = path.stat().st_size - len(_SEAL) - _DIGEST_SIZE
+    if size < 0:
+        return
+    with path.open("rb") as stream:
+        stream.seek(size)
+        end = stream.read()
+    if end.startswith(_SEAL) and end.removeprefix(_SEAL) != _digest(path, size):
+        raise FileFormatError(
+            f"{path.name} is damaged",
+            expected="the content that overtone saved",
+            got="another digest",
+            hint="copy the file again",
+        )
+
+
+def _digest(path: Path, size: int) -> bytes:
+    """Return the digest of the first ``size`` bytes of a file."""
+    digest = hashlib.blake2b(digest_size=_DIGEST_SIZE)
+    with path.open("rb") as stream:
+        while size > 0 and (block := stream.read(min(size, 1 << 20))):
+            digest.update(block)
+            size -= len(block)
+    return digest.digest()
+
+
 def _open_once(path: Path) -> None:
     # h5netcdf reads this attribute while it opens a file; where that fails, it leaves an object
     # behind that prints a traceback when it is thrown away. So it is tried here first.
-    import h5py  # type: ignore[import-untyped]
+    import h5py
 
     with h5py.File(path, "r") as file:
         file.attrs.get("_nc3_strict")

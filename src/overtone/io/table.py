@@ -53,7 +53,7 @@ def sniff(path: Path, head: bytes) -> bool:
     if text is None:
         return False
     lines = _LINE_END.split(text)
-    if len(head) >= 4096:
+    if len(lines) > 1 and path.stat().st_size > len(head):
         lines = lines[:-1]  # cut off in the middle
     comments, rows = _comments(lines)
     if not rows:

@@ -1,0 +1,106 @@
+"""How each vendor names its channels and what its phase means."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from overtone.io.recording import Channel, Recording
+
+_SAME_FREQUENCY = 1e-6
+
+
+@dataclass(frozen=True)
+class Vendor:
+    """Naming and phase convention of a vendor's files.
+
+    Parameters
+    ----------
+    key, title : str
+        Key as in `Recording.vendor`, and in words.
+    aliases : mapping of str to tuple of str
+        Observable to channel names, the preferred one first.
+    phase_known : bool
+        Whether the stored phase is a lag whose zero the vendor's software sets (90 degrees at the tuned
+        resonance). Where False the reading far from the surface has to be given.
+    phase_note : str
+        The convention in words.
+    """
+
+    key: str
+    title: str
+    aliases: Mapping[str, tuple[str, ...]]
+    phase_known: bool
+    phase_note: str
+
+
+_HARMONIC = re.compile(r"(A|phi)\d+|height")
+_NEASNOM = {"height": ("Z",)} | {
+    name: (channel,)
+    for n in range(6)
+    for name, channel in ((f"A{n}", f"M{n}A"), (f"phi{n}", f"M{n}P"))
+    if name != "phi0"
+}
+_VENDORS = (
+    Vendor(
+        "asylum",
+        "Asylum Research",
+        {
+            "height": ("ZSensor", "Height", "ZSnsr"),
+            "A0": ("Deflection", "Defl"),
+            "A1": ("Amplitude", "Amplitude1", "Amp"),
+            "phi1": ("Phase", "Phase1"),
+            "A2": ("Amplitude2", "Amp2"),
+            "phi2": ("Phase2", "Phas2"),
+        },
+        phase_known=True,
+        phase_note="Asylum stores a phase lag, 90 deg at the resonance of the last tune",
+    ),
+    Vendor(
+        "neasnom",
+        "neaspec neaSNOM",
+        _NEASNOM,
+        phase_known=False,
+        phase_note="the zero and the sign of neaSNOM phases are arbitrary",
+    ),
+    Vendor(
+        "overtone",
+        "overtone",
+        {},
+        phase_known=True,
+        phase_note="phases are lags referred to the free lever, as overtone writes them",
+    ),
+)
+_UNKNOWN = Vendor(
+    "unknown",
+    "unknown",
+    {},
+    phase_known=False,
+    phase_note="the convention of this file's phases is not known",
+)
+_BY_KEY = {vendor.key: vendor for vendor in _VENDORS}
+
+
+def vendor_of(recording: Recording) -> Vendor:
+    """Return the preset of a recording; one without any aliases where the vendor is not known."""
+    return _BY_KEY.get(recording.vendor, _UNKNOWN)
+
+
+def candidates(recording: Recording, observable: str) -> tuple[str, ...]:
+    """Return the channel names that may hold an observable, the preferred one first.
+
+    Every vendor's file may also name a channel by the observable itself. A second lock-in counts as the
+    second harmonic only where it listens at exactly twice the drive: in dual-tone modes it does not.
+    """
+    names = vendor_of(recording).aliases.get(observable, ())
+    if recording.vendor == "asylum" and observable in ("A2", "phi2"):
+        drive, second = (recording.facts.get(k) for k in ("drive_frequency", "second_lockin_frequency"))
+        if drive is None or second is None or abs(second.value / drive.value - 2.0) > _SAME_FREQUENCY:
+            names = ()
+    return (observable, *names) if _HARMONIC.fullmatch(observable) else names
+
+
+def main_channels(recording: Recording) -> tuple[Channel, ...]:
+    """Return the channels of the main pass: Nap and Lift passes calibrate, they never mix with it."""
+    return tuple(channel for channel in recording.channels if not channel.nap)

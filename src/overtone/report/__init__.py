@@ -1,0 +1,1 @@
+"""Reports for people: what they say, and how it is laid out."""
