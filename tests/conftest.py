@@ -1,12 +1,33 @@
+"""Where reference numbers and real microscope files lie: beside the repository, read in place."""
+
+import json
 from pathlib import Path
+from typing import Any
 
 import pytest
+
+_SHARED = Path(__file__).parents[2] / "shared"
+
+
+def _folder(path: Path) -> Path:
+    if not path.is_dir():
+        pytest.skip(f"no folder {path.name} of reference data beside the repository")
+    return path
 
 
 @pytest.fixture(scope="session")
 def afm_data() -> Path:
-    """Real microscope files, which lie beside the repository and are not part of it."""
-    folder = Path(__file__).parents[2] / "shared" / "data" / "afm"
-    if not folder.is_dir():
-        pytest.skip("the real AFM files are not beside the repository (../shared/data/afm)")
-    return folder
+    """Return the folder of real microscope files."""
+    return _folder(_SHARED / "data" / "afm")
+
+
+@pytest.fixture(scope="session")
+def steady_states() -> list[dict[str, Any]]:
+    """Return the eight steady states of section 3 of the method's paper, by shooting."""
+    return list(json.loads((_folder(_SHARED / "reference") / "steady_state_section3.json").read_text())["rows"])
+
+
+@pytest.fixture(scope="session")
+def eq17_quadrature() -> list[dict[str, Any]]:
+    """Return harmonics of eq 17 by quadrature."""
+    return list(json.loads((_folder(_SHARED / "reference") / "eq17_quadrature.json").read_text())["rows"])

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass
+from decimal import Decimal
 
 from overtone.errors import UnitError
 
@@ -165,12 +166,13 @@ def parse_quantity(text: str | float, unit: str, name: str = "quantity") -> floa
         raise UnitError(
             f"{name} is not a number with a unit", expected=f'text such as "{example}"', got=repr(text)
         )
-    number, unit_text = float(match.group(1)), match.group(2)
+    number, unit_text = match.group(1), match.group(2)
     if not unit_text:
         if unit != "1":
             raise UnitError(f"{name} has no unit", expected=f'text such as "{example}"', got=repr(text))
-        return number
-    return number * conversion_factor(unit_text, unit, name)
+        return float(number)
+    # Decimal, so that "94 nm" is the float 94e-9 and not its neighbour 94 * 1e-9.
+    return float(Decimal(number) * Decimal(repr(conversion_factor(unit_text, unit, name))))
 
 
 @dataclass(frozen=True)

@@ -95,7 +95,8 @@ def open_scan(
     # A warning scrolls away; the dataset keeps what it said.
     for warning in caught:
         warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
-    sentences = [*recording.notes, *dict.fromkeys(_sentence(str(w.message)) for w in caught)]
+    warned = [f"{w.category.__name__}: {w.message}" for w in caught]
+    sentences = [*recording.notes, *dict.fromkeys(warned)]
     dataset = provenance.add_finding(dataset, *map(_sentence, sentences))
     return provenance.record(
         dataset,

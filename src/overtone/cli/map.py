@@ -1,0 +1,171 @@
+"""``overtone map``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+from cyclopts import Parameter
+from rich.console import Console
+
+from overtone.cli.options import ScanOptions, open_with, parse_noise
+from overtone.cli.progress import progress_bar
+from overtone.errors import OvertoneError
+
+
+def map_scan(
+    file: Path,
+    /,
+    *,
+    output: Annotated[Path, Parameter(name=["--output", "-o"])],
+    report: Path | None = None,
+    model: str | None = None,
+    method: str = "least-squares",
+    harmonics: str | None = None,
+    poisson_ratio: float | None = None,
+    noise: Annotated[tuple[str, ...], Parameter(name="--noise")] = (),
+    scan: ScanOptions = ScanOptions(),  # noqa: B008 - a frozen record
+) -> None:
+    """Map a scan: force, energy, virial and regime always, mechanical properties where the data allow.
+
+    Parameters
+    ----------
+    file : Path
+        Scan, curve or table: .ibw, a neaSNOM folder, netCDF, CSV.
+    output : Path
+        Result, a netCDF file.
+    report : Path
+        Report as one HTML file.
+    model : str
+        Contact model (see "overtone models"); dmt-linear unless given, where a modulus can be mapped.
+    method : str
+        least-squares: the published estimator, for reproduction.
+    harmonics : str
+        0,1,2 or 1,2,3; the first set that was measured unless given.
+    poisson_ratio : float
+        Poisson's ratio of the sample; needed for a modulus, not assumed.
+    noise : tuple
+        Standard deviation of an observable, for example A0="5 pm"; may be repeated.
+    scan : ScanOptions
+        How the file is to be read.
+    """
+    import xarray as xr
+
+    from overtone import provenance
+    from overtone.inversion.properties import map_energy
+    from overtone.io.netcdf import save
+    from overtone.readings import probe_of
+    from overtone.report.content import Report
+    from overtone.report.page import write_report
+    from overtone.report.summary import energy_table, property_table, status_table
+    from overtone.report.terminal import print_report
+
+    for path in (output, report):
+        if path is not None and not path.parent.is_dir():
+            raise OvertoneError(f"the folder {path.parent} does not exist", hint="create it first")
+    sigma = parse_noise(noise)
+    observables = open_with(file, scan)
+    energies = map_energy(observables, probe_of(observables), noise=sigma)
+    with progress_bar() as update:
+        result, label, remark = _properties(
+            observables,
+            model,
+            method,
+            harmonics,
+            poisson_ratio,
+            sigma,
+            lambda d, c: update("inverting", d, c),
+        )
+    if remark:
+        observables = provenance.add_finding(observables, remark)
+    properties: dict[str, xr.Dataset] = {} if result is None else {label: result}
+    tables = [energy_table(energies)]
+    if result is not None:
+        tables += [property_table(label, result), status_table(properties)]
+    content = Report(
+        title=f"overtone: {file.name}",
+        subtitle=" x ".join(f"{size} {dim}" for dim, size in observables["A1"].sizes.items()),
+        observables=observables,
+        energies=energies,
+        properties=properties,
+        tables=tuple(tables),
+        findings=tuple(provenance.findings(observables)),
+    )
+    merged = observables.merge(energies.drop_attrs(deep=False))
+    if result is not None:
+        merged = merged.merge(result.drop_attrs(deep=False)).assign_attrs(result.attrs)
+    save(merged.assign_attrs(findings=observables.attrs.get("findings", "[]")), output)
+    if report is not None:
+        write_report(content, report)
+    console = Console()
+    print_report(content, console)
+    for path in (output, report):
+        if path is not None:
+            console.print(f"wrote {path}", highlight=False, soft_wrap=True, markup=False)
+
+
+def _properties(
+    observables: Any,
+    model: str | None,
+    method: str,
+    harmonics: str | None,
+    poisson_ratio: float | None,
+    noise: dict[str, float],
+    progress: Any,
+) -> tuple[Any, str, str]:
+    """Return the property maps with a label, and what to say where there are none or nothing is sure."""
+    from overtone.inversion.properties import HARMONIC_SETS, map_properties, undetermined_properties
+    from overtone.io.observables import missing_for_modulus
+    from overtone.quantities import harmonic_orders
+    from overtone.readings import probe_of
+
+    probe = probe_of(observables)
+    measured = set(harmonic_orders(observables))
+    orders = _parse_harmonics(harmonics) or next((s for s in HARMONIC_SETS if set(s) <= measured), None)
+    missing = [
+        text
+        for text, absent in (
+            ('the tip radius (--radius "10 nm")', probe.tip.radius is None),
+            ("Poisson's ratio of the sample (--poisson-ratio 0.35)", poisson_ratio is None),
+        )
+        if absent
+    ]
+    if missing and model is not None:
+        raise OvertoneError(
+            "a modulus was asked for",
+            expected=" and ".join(missing),
+            got="no value",
+            hint="neither has a default",
+        )
+    if orders is None:
+        reason = f"no modulus: {missing_for_modulus(observables)}."
+        if model is None:
+            return None, "", reason
+        return undetermined_properties(observables, model, reason), "no harmonics", reason
+    if missing:
+        return None, "", f"no modulus was mapped, because it needs {' and '.join(missing)}."
+    result = map_properties(
+        observables,
+        probe,
+        model=model or "dmt-linear",
+        poisson_ratio=float(poisson_ratio or 0.0),
+        method=method,
+        harmonics=orders,
+        noise=noise,
+        progress=progress,
+    )
+    assumed = (
+        ""
+        if noise
+        else "noise was not stated, an ordinary one is assumed (5 pm on A0, 0.1 deg, 1 pm on A2, A3)."
+    )
+    return result, "harmonics " + ", ".join(map(str, orders)), assumed
+
+
+def _parse_harmonics(text: str | None) -> tuple[int, ...] | None:
+    if text is None:
+        return None
+    try:
+        return tuple(int(part) for part in text.split(","))
+    except ValueError as error:
+        raise OvertoneError("--harmonics is not a list", expected="0,1,2 or 1,2,3", got=repr(text)) from error

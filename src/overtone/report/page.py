@@ -1,0 +1,196 @@
+"""A report as one HTML file that needs nothing else."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import datetime, timezone
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import xarray as xr
+from jinja2 import Environment, StrictUndefined
+from matplotlib.figure import Figure
+
+from overtone import plots, provenance
+from overtone._version import __version__
+from overtone.io.atomic import atomic_path
+from overtone.report.content import Report
+from overtone.report.shares import flag_shares, format_share
+
+_GREY = "Grey with stripes: the data do not determine the value there. Flat light grey: no data."
+
+
+def write_report(report: Report, path: str | Path) -> Path:
+    """Write a report as one self-contained HTML file, whole or not at all.
+
+    Parameters
+    ----------
+    report : Report
+        What to show.
+    path : str or Path
+        Where to; an existing file is replaced.
+
+    Returns
+    -------
+    Path
+        The file written.
+
+    Raises
+    ------
+    FileFormatError
+        If the folder does not exist or the file cannot be written.
+    """
+    path = Path(path)
+    with atomic_path(path) as temporary:
+        temporary.write_text(render(report), encoding="utf-8")
+    return path
+
+
+def render(report: Report) -> str:
+    """Return the HTML text of a report; everything in it that came from a file is escaped."""
+    environment = Environment(
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    source = files("overtone.report").joinpath("page.html.j2").read_text(encoding="utf-8")
+    return environment.from_string(source).render(
+        report=report,
+        figures=list(_pictures(report)),
+        shares={label: _status(result) for label, result in report.properties.items()},
+        records=list(_records(report)),
+        version=__version__,
+        date=datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M UTC"),
+    )
+
+
+@dataclass(frozen=True)
+class _Picture:
+    """A figure as it stands in the page."""
+
+    title: str
+    caption: str
+    source: str
+
+
+def _pictures(report: Report) -> Iterator[_Picture]:
+    if report.properties:
+        yield _picture(
+            "At a glance",
+            plots.overview_figure(report),
+            "What was measured, the modulus concluded from it, and how many decades of modulus fit the data at 90 %. "
+            + _GREY,
+        )
+    yield _picture(
+        "Observables",
+        plots.observables_figure(report.observables),
+        "What the microscope recorded; colours run from the 2nd to the 98th percentile in every map.",
+    )
+    yield _picture(
+        "Force harmonics",
+        plots.forces_figure(report.energies),
+        "Fourier coefficients of the force on the tip, conservative (cosine) and dissipative (sine).",
+    )
+    yield _picture(
+        "Energy",
+        plots.energy_figure(report.energies),
+        "Energy lost per cycle and virial, which follow from amplitude and phase alone, without a contact model.",
+    )
+    for label, result in report.properties.items():
+        yield _picture(
+            f"Properties from {label}",
+            plots.properties_figure(label, result),
+            "Estimates, the range of moduli that fit the data at 90 %, and what each pixel can be trusted for. "
+            f"{_GREY} A small residual N_r is no evidence that an estimate is right: three force harmonics and three "
+            "unknowns leave next to no residual at any answer.",
+        )
+        yield _picture(
+            f"Distributions from {label}",
+            plots.histogram_figure(label, result, report.truth, report.materials),
+            "Filled: determined pixels; outlined: all others, which are no measurement; both axes are logarithmic.",
+        )
+
+
+def _picture(title: str, figure: Figure, caption: str) -> _Picture:
+    data = base64.b64encode(plots.png_bytes(figure)).decode("ascii")
+    return _Picture(title, caption, f"data:image/png;base64,{data}")
+
+
+def _status(properties: xr.Dataset) -> list[tuple[str, str]]:
+    return [(meaning, format_share(share)) for meaning, share in flag_shares(properties["status"]).items()]
+
+
+@dataclass(frozen=True)
+class _Step:
+    """One entry of a history; texts of several lines, such as a probe, stand on their own."""
+
+    operation: str
+    version: str
+    arguments: tuple[tuple[str, str], ...]
+    texts: tuple[tuple[str, str], ...]
+
+
+@dataclass(frozen=True)
+class _Record:
+    """What a dataset tells about itself beyond what the observables have already told."""
+
+    title: str
+    attributes: tuple[tuple[str, str], ...]
+    continues: bool
+    steps: tuple[_Step, ...]
+
+
+def _records(report: Report) -> Iterator[_Record]:
+    datasets = {"Observables": report.observables, "Forces and energies": report.energies}
+    datasets |= {f"Properties from {label}": result for label, result in report.properties.items()}
+    if report.truth is not None:
+        datasets["Truth of the simulation"] = report.truth
+    known = report.observables
+    shown: set[str] = set()
+    for title, dataset in datasets.items():
+        first = dataset is known
+        past = [] if first else provenance.history(known)
+        entries = provenance.history(dataset)
+        continues = bool(past) and entries[: len(past)] == past
+        attributes = tuple(
+            (str(key), _text(value))
+            for key, value in dataset.attrs.items()
+            if key != "history" and (first or not _same(known.attrs.get(key), value))
+        )
+        steps = tuple(_step(entry, shown) for entry in entries[len(past) if continues else 0 :])
+        yield _Record(title, attributes, continues, steps)
+
+
+def _step(entry: Any, shown: set[str]) -> _Step:
+    """Lay out an entry; a text that was shown before is named, not repeated."""
+    if not isinstance(entry, dict):
+        return _Step(_text(entry), "", (), ())
+    given = entry.get("arguments", {})
+    short, long = [], []
+    for name, value in (given if isinstance(given, dict) else {"arguments": given}).items():
+        text = _text(value)
+        if "\n" not in text:
+            short.append((str(name), text))
+        elif text in shown:
+            short.append((str(name), "as above"))
+        else:
+            shown.add(text)
+            long.append((str(name), text))
+    return _Step(
+        _text(entry.get("operation", "?")), _text(entry.get("overtone", "")), tuple(short), tuple(long)
+    )
+
+
+def _text(value: Any) -> str:
+    return value if isinstance(value, str) else json.dumps(value, default=str, ensure_ascii=False)
+
+
+def _same(one: Any, other: Any) -> bool:
+    """Compare attributes, which may be arrays."""
+    return _text(one) == _text(other)

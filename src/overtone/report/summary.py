@@ -1,0 +1,182 @@
+"""Tables that sum a result up."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+import numpy.typing as npt
+import xarray as xr
+
+from overtone.harmonics import ATTRACTIVE, REPULSIVE, UNDETERMINED
+from overtone.inversion.properties import DETERMINED, POOR_RESIDUAL, STATUS_MEANINGS
+from overtone.quantities import quantity
+from overtone.report.content import Table
+from overtone.units import display_unit, format_quantity
+
+_MAJORITY = 0.5
+
+
+def _range(values: npt.NDArray[np.float64], unit: str, low: float, high: float) -> str:
+    """Return two percentiles with one unit between them."""
+    values = values[np.isfinite(values)]
+    if values.size == 0:
+        return "-"
+    ends = np.percentile(values, [low, high])
+    display = display_unit(float(np.abs(ends).max()), unit)
+    return f"{ends[0] * display.factor:.3g} .. {ends[1] * display.factor:.3g} {display.label}".strip()
+
+
+def _median(values: npt.NDArray[np.float64], unit: str) -> str:
+    values = values[np.isfinite(values)]
+    return format_quantity(float(np.median(values)), unit) if values.size else "-"
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.0f} %" if share == 0.0 or share >= 0.01 else f"{100 * share:.1f} %"
+
+
+def energy_table(energies: xr.Dataset) -> Table:
+    """Return forces, energies and regime of a scan in numbers."""
+    first = energies.sel(harmonic=1)
+    rows = []
+    arrays = [
+        ("F1_cons", first["F_cons"], "N"),
+        ("F1_diss", first["F_diss"], "N"),
+        ("energy dissipated per cycle", energies["dissipation"], "J"),
+        ("virial", energies["virial"], "J"),
+    ]
+    for label, array, unit in arrays:
+        values = np.asarray(array.values).ravel()
+        finite = values[np.isfinite(values)]
+        mean = format_quantity(float(finite.mean()), unit) if finite.size else "-"
+        rows.append((label, mean, _median(values, unit), _range(values, unit, 5, 95)))
+    shares = regime_shares(energies)
+    return Table(
+        "Forces, energy and regime",
+        ("quantity", "mean", "median", "5 .. 95 % of pixels"),
+        tuple(rows),
+        note="Regime by the sign of F1_cons: "
+        + ", ".join(f"{k} {_percent(v)}" for k, v in shares.items())
+        + ".",
+    )
+
+
+def regime_shares(energies: xr.Dataset) -> dict[str, float]:
+    """Return the share of pixels in each regime."""
+    codes = {"attractive": ATTRACTIVE, "undetermined": UNDETERMINED, "repulsive": REPULSIVE}
+    return {name: float((energies["regime"] == code).mean()) for name, code in codes.items()}
+
+
+def status_table(properties: Mapping[str, xr.Dataset]) -> Table:
+    """Return the share of pixels with each status, for each result."""
+    meanings = {code: text.replace("_", " ") for code, text in STATUS_MEANINGS.items()}
+    shares = {
+        label: [float((result["status"] == code).mean()) for code in meanings]
+        for label, result in properties.items()
+    }
+    used = [i for i in range(len(meanings)) if i == DETERMINED or any(s[i] > 0 for s in shares.values())]
+    names = list(meanings.values())
+    return Table(
+        "Share of pixels whose modulus ...",
+        ("", *(names[i] for i in used)),
+        tuple((label, *(_percent(s[i]) for i in used)) for label, s in shares.items()),
+    )
+
+
+def property_table(label: str, result: xr.Dataset) -> Table:
+    """Return the properties of a scan where they are determined, and what the estimator gave elsewhere."""
+    determined = float((result["status"] == DETERMINED).mean())
+    rows = []
+    for name in ("modulus", "adhesion", "indentation"):
+        if name not in result:
+            continue
+        record = quantity(name)
+        unit = record.unit if record else "1"
+        kept = result[name].values.ravel()
+        every = result[f"{name}_unscreened"].values.ravel() if f"{name}_unscreened" in result else kept
+        rows.append((name, _median(kept, unit), _range(kept, unit, 5, 95), _range(every, unit, 5, 95)))
+    reason = result.attrs.get("cannot_conclude", "")
+    return Table(
+        f"Properties ({label})",
+        (
+            "property",
+            "median, determined",
+            "5 .. 95 %, determined",
+            "5 .. 95 %, every pixel (not to be quoted)",
+        ),
+        tuple(rows),
+        note=f"{_percent(determined)} of pixels are determined. {reason}".strip(),
+    )
+
+
+def truth_table(properties: Mapping[str, xr.Dataset], truth: xr.Dataset, materials: tuple[str, ...]) -> Table:
+    """Return estimated moduli beside the truth of a simulation, by material."""
+    rows = []
+    for i, material in enumerate(materials):
+        mask = truth["material"].values == i
+        for label, result in properties.items():
+            estimate = result["modulus_unscreened"].values[mask]
+            residual, status = result["residual"].values[mask], result["status"].values[mask]
+            spread = np.nanpercentile(result["start_spread"].values[mask], 95)
+            share = float((status == DETERMINED).mean())
+            rows.append(
+                (
+                    material,
+                    label,
+                    _median(truth["modulus"].values[mask], "Pa"),
+                    _median(estimate, "Pa"),
+                    _range(estimate, "Pa", 16, 84),
+                    f"x {math.exp(spread):.3g}",
+                    _percent(float((residual < POOR_RESIDUAL).mean())),
+                    f"{np.nanmedian(result['uncertainty'].values[mask]):.2g}",
+                    _percent(share),
+                    "can tell" if share >= _MAJORITY else "cannot tell",
+                )
+            )
+    return Table(
+        "Modulus by least squares, the published estimator",
+        (
+            "material",
+            "harmonics",
+            "truth",
+            "median",
+            "16 .. 84 % of pixels",
+            "starts",
+            "N_r < 0.1",
+            "ampl. x noise",
+            "determined",
+            "least squares",
+        ),
+        tuple(rows),
+        note="starts: factor between the answers from three starting points (95 % of pixels). N_r < 0.1: what the "
+        "method's paper takes for a good fit; it holds whether or not the answer is right. ampl. x noise: linearised "
+        "error of ln E. determined: no modulus outside one decade fits the data.",
+    )
+
+
+def truth_properties_table(
+    properties: Mapping[str, xr.Dataset], truth: xr.Dataset, materials: tuple[str, ...]
+) -> Table:
+    """Return estimated adhesion and indentation beside the truth of a simulation, by material."""
+    rows = []
+    for name in ("adhesion", "indentation"):
+        record = quantity(name)
+        unit = record.unit if record else "1"
+        for i, material in enumerate(materials):
+            mask = truth["material"].values == i
+            for label, result in properties.items():
+                values = result[f"{name}_unscreened"].values[mask]
+                rows.append(
+                    (
+                        name,
+                        material,
+                        label,
+                        _median(truth[name].values[mask], unit),
+                        _median(values, unit),
+                        _range(values, unit, 16, 84),
+                    )
+                )
+    columns = ("property", "material", "harmonics", "truth", "median", "16 .. 84 % of pixels")
+    return Table("Adhesion and indentation by least squares", columns, tuple(rows))
