@@ -24,7 +24,9 @@ def afm_data() -> Path:
 @pytest.fixture(scope="session")
 def steady_states() -> list[dict[str, Any]]:
     """Return the eight steady states of section 3 of the method's paper, by shooting."""
-    return list(json.loads((_folder(_SHARED / "reference") / "steady_state_section3.json").read_text())["rows"])
+    return list(
+        json.loads((_folder(_SHARED / "reference") / "steady_state_section3.json").read_text())["rows"]
+    )
 
 
 @pytest.fixture(scope="session")

@@ -37,7 +37,9 @@ def observables(**values: float) -> xr.Dataset:
 EXAMPLE = {"A0": 1.3e-10, "A1": 39e-9, "phi1": 0.6, "A2": 1.1e-10, "phi2": 4.2, "A3": 4e-11, "phi3": 1.7}
 
 
-def paper_eq5(k: float, r: float, Q: float, far: float, o: dict[str, float]) -> tuple[list[float], list[float]]:
+def paper_eq5(
+    k: float, r: float, Q: float, far: float, o: dict[str, float]
+) -> tuple[list[float], list[float]]:
     """Return eqs 5a-g as they are printed: no complex numbers, no receptance."""
     G = 1.0 / (k * math.hypot(1 - r**2, r / Q))
     F_dr = far / G
@@ -184,7 +186,9 @@ def test_dissipation_is_clevelands_formula() -> None:
     result = energy(force, simple())
     expected = math.pi * 16.4 * A / 287.0 * (94e-9 * math.sin(phase) - A)
     assert float(result["dissipation"][0]) == pytest.approx(expected, rel=1e-12)
-    assert float(result["virial"][0]) == pytest.approx(-0.5 * A * 16.4 * 94e-9 / 287 * math.cos(phase), rel=1e-12)
+    assert float(result["virial"][0]) == pytest.approx(
+        -0.5 * A * 16.4 * 94e-9 / 287 * math.cos(phase), rel=1e-12
+    )
 
 
 def test_power_into_the_lever_is_the_drive_minus_its_damping() -> None:

@@ -55,7 +55,9 @@ def test_a_saved_probe_reads_back_to_the_same_floats(probe: Probe, tmp_path: Pat
 
 
 def test_every_fault_is_named_at_once() -> None:
-    text = TEXT.replace('"16.4 N/m"', '"16.4 nm"').replace('free_amplitude = "94 nm"', "").replace("tip", "typ")
+    text = (
+        TEXT.replace('"16.4 N/m"', '"16.4 nm"').replace('free_amplitude = "94 nm"', "").replace("tip", "typ")
+    )
     with pytest.raises(ProbeError) as caught:
         parse_probe(text)
     message = str(caught.value)

@@ -54,7 +54,9 @@ def test_a_unit_that_does_not_fit_is_named(text: str, unit: str, word: str) -> N
 @given(st.floats(1e-15, 1e14), st.sampled_from(["m", "N", "Pa", "Hz", "J", "V"]))
 def test_displayed_values_read_back(value: float, unit: str) -> None:
     display = display_unit(value, unit)
-    assert parse_quantity(f"{value * display.factor!r} {display.label}", unit) == pytest.approx(value, rel=1e-12)
+    assert parse_quantity(f"{value * display.factor!r} {display.label}", unit) == pytest.approx(
+        value, rel=1e-12
+    )
 
 
 def test_conversion_inverts() -> None:

@@ -10,14 +10,39 @@ from typing import TYPE_CHECKING, Any
 from overtone._version import __version__
 
 if TYPE_CHECKING:
+    from overtone.contact.models import models as models
+    from overtone.contact.models import sample as sample
+    from overtone.dynamics.steady import hold_amplitude as hold_amplitude
+    from overtone.harmonics import to_force_harmonics as to_force_harmonics
+    from overtone.harmonics import to_observables as to_observables
+    from overtone.inversion.properties import map_energy as map_energy
+    from overtone.inversion.properties import map_properties as map_properties
+    from overtone.io.netcdf import load as load
+    from overtone.io.netcdf import save as save
+    from overtone.io.observables import open_scan as open_scan
+    from overtone.io.registry import read_channels as read_channels
     from overtone.probe import Probe as Probe
     from overtone.probe import load_probe as load_probe
     from overtone.probe import save_probe as save_probe
+    from overtone.readings import probe_of as probe_of
 
+# Public name to the module it lives in.
 _HOME = {
     "Probe": "probe",
+    "hold_amplitude": "dynamics.steady",
+    "load": "io.netcdf",
     "load_probe": "probe",
+    "map_energy": "inversion.properties",
+    "map_properties": "inversion.properties",
+    "models": "contact.models",
+    "open_scan": "io.observables",
+    "probe_of": "readings",
+    "read_channels": "io.registry",
+    "sample": "contact.models",
+    "save": "io.netcdf",
     "save_probe": "probe",
+    "to_force_harmonics": "harmonics",
+    "to_observables": "harmonics",
 }
 
 __all__ = ["__version__", *_HOME]

@@ -20,7 +20,7 @@ from overtone.quantities import named_array
 from overtone.readings import Reading, with_reading
 from overtone.report.content import Report
 from overtone.report.page import write_report
-from overtone.report.summary import energy_table, status_table, truth_properties_table, truth_table
+from overtone.report.summary import energy_table, truth_properties_table, truth_table
 from overtone.units import format_quantity
 
 _POISSON_RATIO = 0.35
@@ -127,7 +127,7 @@ def run_demo(folder: str | Path, *, progress: Progress | None = None) -> Demo:
     energies = map_energy(observables, probe)
     results: dict[str, xr.Dataset] = {}
     for orders in _HARMONIC_SETS:
-        label = ", ".join(map(str, orders))
+        label = " ".join(map(str, orders))
         results[label] = map_properties(
             observables,
             probe,
@@ -148,7 +148,6 @@ def run_demo(folder: str | Path, *, progress: Progress | None = None) -> Demo:
         tables=(
             truth_table(results, truth, materials),
             truth_properties_table(results, truth, materials),
-            status_table(results),
             energy_table(energies),
         ),
         findings=(*provenance.findings(observables), *_verdicts(results, truth, materials)),

@@ -136,12 +136,13 @@ def to_force_harmonics(observables: xr.Dataset, probe: Probe) -> xr.Dataset:
     receptance = read_receptance(probe, np.array(orders) * drive.frequency)
     forces = []
     for n, G in zip(orders, receptance, strict=True):
-        if n == 0:
-            reading = observables["A0"] + 0j
-        elif n == 1:
-            reading = amplitude - drive.free_amplitude * np.exp(1j * (phase - far_phase(probe)))
-        else:
-            reading = observables[f"A{n}"] * np.exp(1j * (n * phase - observables[f"phi{n}"]))
+        with np.errstate(invalid="ignore"):  # an infinite phase is a lost pixel, as NaN is
+            if n == 0:
+                reading = observables["A0"] + 0j
+            elif n == 1:
+                reading = amplitude - drive.free_amplitude * np.exp(1j * (phase - far_phase(probe)))
+            else:
+                reading = observables[f"A{n}"] * np.exp(1j * (n * phase - observables[f"phi{n}"]))
         forces.append(reading / G)
     harmonic = xr.DataArray(list(orders), dims="harmonic", name="harmonic")
     stacked = xr.concat(forces, dim=harmonic, coords="minimal", compat="override")

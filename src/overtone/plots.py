@@ -601,30 +601,24 @@ def properties_figure(label: str, properties: xr.Dataset) -> Figure:
     properties : Dataset
         Result of `overtone.map_properties`.
     """
-    modulus = properties["modulus_unscreened"]
     veil = _undetermined(properties)
     limits = _shared_limits(properties, veil)
-    titles = {
-        "modulus_unscreened": "modulus, estimate",
-        "adhesion_unscreened": "adhesion, estimate",
-        "indentation_unscreened": "maximum indentation, estimate",
+    estimates = {"modulus": "modulus", "adhesion": "adhesion", "indentation": "maximum indentation"}
+    others = {
         "modulus_lower": "modulus, lower end (90 %)",
         "modulus_upper": "modulus, upper end (90 %)",
         "amplification": "noise amplification",
         "residual": "residual",
     }
-    names = [name for name in titles if name in properties]
-    figure, cells = _grid([modulus], len(names) + 2)
+    panels: list[tuple[str, xr.DataArray | None, xr.DataArray | None]]
+    panels = [(f"{title}, estimate", _estimate(properties, name), veil) for name, title in estimates.items()]
+    panels += [(title, properties.get(name), None) for name, title in others.items()]
+    drawn = [(title, array, cover) for title, array, cover in panels if array is not None]
+    figure, cells = _grid([properties["status"]], len(drawn) + 2)
     figure.suptitle(label, fontsize=TITLE_SIZE + 1.0, parse_math=False)
-    for axes, name in zip(cells, names, strict=False):
-        estimate = name.endswith("_unscreened")
-        draw_map(
-            axes,
-            properties[name],
-            title=titles[name],
-            undetermined=veil if estimate else None,
-            limits=limits if name.startswith("modulus") else None,
-        )
+    for axes, (title, array, cover) in zip(cells, drawn, strict=False):
+        shared = limits if str(array.name).startswith("modulus") else None
+        draw_map(axes, array, title=title, undetermined=cover, limits=shared)
     draw_flags(cells[-2], properties["status"], title="status", legend_axes=cells[-1])
     return figure
 
@@ -718,17 +712,20 @@ def overview_figure(report: Report, label: str | None = None) -> Figure:
 def _draw_conclusions(
     cells: npt.NDArray[np.object_], label: str, properties: xr.Dataset, truth: xr.Dataset | None
 ) -> None:
-    estimate, veil = properties["modulus_unscreened"], _undetermined(properties)
-    limits = _modulus_limits(_readable(estimate.values, veil.transpose(*estimate.dims).values))
+    veil, estimate = _undetermined(properties), _estimate(properties, "modulus")
+    limits = None if estimate is None else _modulus_limits(_readable(estimate.values, veil.values))
     if truth is not None and "modulus" in truth:
         # One scale for truth and estimate, so that colours compare.
         limits = _modulus_limits(truth["modulus"].values) or limits
         cells[0, 3].set_axis_on()
         draw_map(cells[0, 3], truth["modulus"], title="modulus, truth", limits=limits)
-    for axes in cells[1]:
-        axes.set_axis_on()
-    draw_map(cells[1, 0], estimate, title=f"modulus, {label}", undetermined=veil, limits=limits)
-    draw_map(cells[1, 1], _range_width(properties), title="width of the 90 % range")
+    if estimate is not None:
+        cells[1, 0].set_axis_on()
+        draw_map(cells[1, 0], estimate, title=f"modulus, {label}", undetermined=veil, limits=limits)
+    if {"modulus_lower", "modulus_upper"} <= set(properties):
+        cells[1, 1].set_axis_on()
+        draw_map(cells[1, 1], _range_width(properties), title="width of the 90 % range")
+    cells[1, 2].set_axis_on()
     draw_flags(cells[1, 2], properties["status"], title="status", legend_axes=cells[1, 3])
 
 
@@ -815,21 +812,21 @@ def _determined_share(properties: xr.Dataset) -> float:
 
 
 def _modulus_limits(values: _Array) -> _Limits | None:
+    """Return limits of positive values, None where there are none."""
     return _robust_limits(values, positive=True) if (values > 0.0).any() else None
 
 
 def _shared_limits(properties: xr.Dataset, veil: xr.DataArray) -> _Limits | None:
     """Return limits for the modulus and both ends of its range, as wide as the determined pixels need."""
-    modulus = properties["modulus_unscreened"]
-    mask = veil.transpose(*modulus.dims).values
+    modulus = _estimate(properties, "modulus")
+    if modulus is None:
+        return None
+    mask = veil.values
     if not _is_readable(modulus.values, mask):
         return _modulus_limits(modulus.values)
-    names = ("modulus_unscreened", "modulus_lower", "modulus_upper")
-    return _modulus_limits(
-        np.concatenate(
-            [properties[name].transpose(*modulus.dims).values[~mask] for name in names if name in properties]
-        )
-    )
+    bounds = [properties[name] for name in ("modulus_lower", "modulus_upper") if name in properties]
+    sure = [array.transpose(*veil.dims).values[~mask] for array in (modulus, *bounds)]
+    return _modulus_limits(np.concatenate(sure))
 
 
 def _range_width(properties: xr.Dataset) -> xr.DataArray:

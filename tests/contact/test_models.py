@@ -37,7 +37,10 @@ def test_effective_modulus_is_eq_16() -> None:
         ({"model": "hertz", "modulus": 1e9, "poisson_ratio": 0.3, "adhesion": 1e-9}, "has no adhesion"),
         ({"model": "hertz", "modulus": -1e9, "poisson_ratio": 0.3}, "modulus is out of range"),
         ({"model": "hertz", "modulus": np.nan, "poisson_ratio": 0.3}, "modulus is out of range"),
-        ({"model": "dmt", "modulus": 1e9, "poisson_ratio": 0.3, "adhesion": -1.0}, "adhesion is out of range"),
+        (
+            {"model": "dmt", "modulus": 1e9, "poisson_ratio": 0.3, "adhesion": -1.0},
+            "adhesion is out of range",
+        ),
         ({"model": "hertz", "modulus": 1e9, "poisson_ratio": 0.6}, "Poisson"),
         ({"model": "dmt", "modulus": [1e9] * 3, "poisson_ratio": 0.3, "adhesion": [1e-9] * 2}, "shapes"),
         (

@@ -121,14 +121,24 @@ def eqs_19(Delta: float, gamma: float, beta: float, correction: float) -> np.nda
     F0 += beta / pi * ((2 * D - 1) * (t2 - t1) + S - alpha)
     F1 = gamma * alpha / pi + 8 * r2 / (5 * pi) * (EK * (D**2 - 3 * D + 2) + EE * (-2 * D**2 + 2 * D - 2))
     F1 += beta / pi * (t1 - t2 + (1 - 2 * D) * (S - alpha))
-    F2 = 4 / (3 * pi) * gamma * (2 * D - 1 + correction * s) * alpha + 8 / (3 * pi) * beta * D * (1 - D) * (S - alpha)
-    F2 += 8 * r2 / (35 * pi) * (
-        EK * (8 * D**3 - 13 * D**2 + 3 * D + 2) + EE * (-16 * D**3 + 24 * D**2 - 4 * D - 2)
+    F2 = 4 / (3 * pi) * gamma * (2 * D - 1 + correction * s) * alpha + 8 / (3 * pi) * beta * D * (1 - D) * (
+        S - alpha
+    )
+    F2 += (
+        8
+        * r2
+        / (35 * pi)
+        * (EK * (8 * D**3 - 13 * D**2 + 3 * D + 2) + EE * (-16 * D**3 + 24 * D**2 - 4 * D - 2))
     )
     F3 = 2 / (3 * pi) * gamma * (2 + 12 * D * (D - 1) + 3 * (2 * D - 1) * s + s * s) * alpha
-    F3 += 8 * r2 / (315 * pi) * (
-        EK * (128 * D**4 - 272 * D**3 + 159 * D**2 - 13 * D - 2)
-        + EE * (-256 * D**4 + 512 * D**3 - 270 * D**2 + 14 * D + 2)
+    F3 += (
+        8
+        * r2
+        / (315 * pi)
+        * (
+            EK * (128 * D**4 - 272 * D**3 + 159 * D**2 - 13 * D - 2)
+            + EE * (-256 * D**4 + 512 * D**3 - 270 * D**2 + 14 * D + 2)
+        )
     )
     F3 += 8 / (3 * pi) * beta * D * (-2 * D**2 + 3 * D - 1) * (S - alpha)
     return np.array([F0, F1, F2, F3])
@@ -170,4 +180,6 @@ def test_compiled_kernels_equal_the_plain_functions() -> None:
         h, dh = np.empty(4), np.empty(4)
         terms.linear_adhesion_harmonics.py_func(1.0, Delta, 0.01, 3, h, dh)
         np.testing.assert_allclose(h, adhesion(1.0, Delta, 0.01)[0][:4], rtol=1e-13)
-        assert terms.sphere_force.py_func(-0.3, 2.0) == pytest.approx(terms.sphere_force(-0.3, 2.0), rel=1e-15)
+        assert terms.sphere_force.py_func(-0.3, 2.0) == pytest.approx(
+            terms.sphere_force(-0.3, 2.0), rel=1e-15
+        )

@@ -5,11 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from overtone.cli.options import ScanOptions, open_with
 from overtone.errors import OvertoneError
-from overtone.units import format_quantity
+from overtone.units import display_unit, format_quantity
 
 
 def inspect(file: Path, /, *, scan: ScanOptions = ScanOptions()) -> None:  # noqa: B008 - a frozen record
@@ -55,30 +56,49 @@ def inspect(file: Path, /, *, scan: ScanOptions = ScanOptions()) -> None:  # noq
         )
     except OvertoneError as error:
         verdict = [*recording.notes, f"cannot be mapped as it is: {error}"]
-    channels = Table(
-        "channel", "unit", "direction", "used as", "mean", "min", "max", "remark", title="Channels"
-    )
+    channels = Table(title="Channels")
+    for heading in ("channel", "unit", "line", "used as", "mean", "range", "remark"):
+        channels.add_column(heading, overflow="fold")
     for channel in recording.channels:
         values = channel.values[np.isfinite(channel.values)]
-        numbers = [values.mean(), values.min(), values.max()] if values.size else []
-        cells = [format_quantity(float(v), channel.unit or "1", 4) for v in numbers] or ["-"] * 3
         remarks = [text for text, on in (("Nap pass", channel.nap), ("flattened", channel.flattened)) if on]
         lost = channel.values.size - values.size
         remarks += [f"{lost} invalid pixels"] if lost else []
+        mean = span = "-"
+        if values.size:
+            low, high = float(values.min()), float(values.max())
+            display = display_unit(max(abs(low), abs(high)), channel.unit or "1")
+            mean = f"{values.mean() * display.factor:.4g} {display.label}"
+            span = f"{low * display.factor:.4g} .. {high * display.factor:.4g}"
         role = "" if channel.nap else used.get(channel.name, "")
-        channels.add_row(
-            channel.name, channel.unit or "none", channel.direction or "", role, *cells, ", ".join(remarks)
+        cells = (
+            channel.name,
+            channel.unit or "none",
+            channel.direction or "",
+            role,
+            mean,
+            span,
+            ", ".join(remarks),
         )
-    console.print(channels, markup=False)
+        channels.add_row(*map(escape, cells))
+    console.print(channels)
     if recording.facts or recording.resonances:
-        facts = Table("quantity", "value", "key in the file", "remark", title="Instrument")
+        facts = Table(title="Instrument")
+        for heading in ("quantity", "value", "key in the file", "remark"):
+            facts.add_column(heading, overflow="fold")
         for name, fact in recording.facts.items():
             remark = "factory default" if fact.factory_default else ""
-            facts.add_row(name.replace("_", " "), format_quantity(fact.value, fact.unit, 5), fact.key, remark)
+            facts.add_row(name.replace("_", " "), _text(fact.value, fact.unit), escape(fact.key), remark)
         for pair in recording.resonances:
             value = f"{pair.frequency / 1e3:.3f} kHz, Q {pair.quality_factor:g}"
             remark = "factory default" if pair.factory_default else ""
-            facts.add_row(f"resonance ({pair.source})", value, ", ".join(pair.keys), remark)
-        console.print(facts, markup=False)
+            facts.add_row(f"resonance ({pair.source})", value, escape(", ".join(pair.keys)), remark)
+        console.print(facts)
     for sentence in verdict:
         console.print(f"- {sentence}", markup=False, highlight=False)
+
+
+def _text(value: float, unit: str) -> str:
+    if unit == "m/V":
+        return f"{value * 1e9:.5g} nm/V"
+    return format_quantity(value, unit, 5)

@@ -57,7 +57,7 @@ def map_scan(
     from overtone.readings import probe_of
     from overtone.report.content import Report
     from overtone.report.page import write_report
-    from overtone.report.summary import energy_table, property_table, status_table
+    from overtone.report.summary import energy_table, property_table
     from overtone.report.terminal import print_report
 
     for path in (output, report):
@@ -81,10 +81,10 @@ def map_scan(
     properties: dict[str, xr.Dataset] = {} if result is None else {label: result}
     tables = [energy_table(energies)]
     if result is not None:
-        tables += [property_table(label, result), status_table(properties)]
+        tables.append(property_table(label, result))
     content = Report(
         title=f"overtone: {file.name}",
-        subtitle=" x ".join(f"{size} {dim}" for dim, size in observables["A1"].sizes.items()),
+        subtitle=" x ".join(map(str, observables["A1"].shape)) + " pixels",
         observables=observables,
         energies=energies,
         properties=properties,

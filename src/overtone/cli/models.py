@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 
@@ -10,12 +11,18 @@ def models() -> None:
     """List the contact models: what they assume, what they need, where they come from."""
     from overtone.contact.models import models as contact_models
 
-    table = Table(show_lines=True)
-    for heading in ("model", "what it is", "looks for", "must be given", "assumes"):
-        table.add_column(heading, overflow="fold")
+    console = Console(highlight=False)
     for model in contact_models():
-        use = "" if model.invertible else " (simulation only)"
-        needs = ", ".join(p.name for p in model.given if p.default is None)
+        console.print(f"[bold]{model.key}[/]  {escape(model.title)}")
         finds = ", ".join([*(p.name for p in model.unknowns), "indentation"])
-        table.add_row(model.key, f"{model.title}{use}", finds, needs, f"{model.assumptions} [{model.source}]")
-    Console().print(table, markup=False)
+        rows = {
+            "finds": finds if model.invertible else "nothing yet: for simulation only",
+            "needs": ", ".join(p.name for p in model.given if p.default is None),
+            "assumes": model.assumptions,
+            "source": model.source,
+        }
+        table = Table(box=None, show_header=False, padding=(0, 1), pad_edge=False)
+        for label, text in rows.items():
+            table.add_row(f"  {label}", escape(text))
+        console.print(table)
+        console.print()

@@ -43,7 +43,7 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(10)
 _CONTACT_NODES, _CONTACT_WEIGHTS = np.polynomial.legendre.leggauss(24)
 _WIDEST_PIECE = 0.3
 _ITERATIONS = 60
-_GAP_TOLERANCE = 1e-16
+_GAP_TOLERANCE = 1e-18
 
 _Floats = npt.NDArray[np.float64]
 _Complex = npt.NDArray[np.complex128]

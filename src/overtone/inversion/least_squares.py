@@ -48,6 +48,7 @@ MAX_DELTA = 1.0 - 1e-6
 CONVERGED, STALLED, AT_BOUND = 0, 1, 2
 
 _STEP_TOLERANCE = 1e-12
+_SOLVED = 1e-20  # a cost this small is a solution: what is left of it is rounding in the harmonics
 _DAMPED_STEPS = 60
 _VALLEY_STEPS = 200
 _UNKNOWNS = 3
@@ -337,7 +338,7 @@ def fit_pixels(
             _follow_valley(x, F, orders, A, contact, lower, top, work)
             # The floor ends at the minimum: what is left are undamped steps of rounding size.
             cost, converged = _descend(x, F, orders, A, contact, lower, top, 1e-12, work, residual, J)
-        outcome[pixel] = CONVERGED if converged else STALLED
+        outcome[pixel] = CONVERGED if converged or cost < _SOLVED else STALLED
         for j in range(n):
             if x[j] <= lower[j] or x[j] >= top[j]:
                 outcome[pixel] = AT_BOUND

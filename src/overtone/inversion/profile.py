@@ -126,12 +126,19 @@ def modulus_range(
                 best = k
         for level in range(levels.shape[0]):
             least, most = math.inf, -math.inf
+            limit = chi2[best] + levels[level]
             for k in range(count):
-                spare = chi2[best] + levels[level] - chi2[k]
-                if spare < 0.0:
+                if chi2[k] > limit:
                     continue
-                reach = math.sqrt(spare * variance[k])
-                softest, stiffest = max(Lambda[k] - reach, soft), min(Lambda[k] + reach, stiff)
-                least = min(least, math.log(sample_modulus(contact, softest)))
-                most = max(most, math.log(sample_modulus(contact, stiffest)))
-            low[pixel, level], high[pixel, level] = max(least, lower[0]), min(most, upper[0])
+                reach = math.sqrt((limit - chi2[k]) * variance[k])
+                least, most = min(least, Lambda[k] - reach), max(most, Lambda[k] + reach)
+                # What is allowed ends between this node and the next one of the same scan that is not.
+                for other in (k - 1, k + 1):
+                    same_scan = other >= 0 and other < count and (other < N_NODES) == (k < N_NODES)
+                    if same_scan and chi2[other] > limit:
+                        share = (limit - chi2[k]) / (chi2[other] - chi2[k])
+                        edge = Lambda[k] * (Lambda[other] / Lambda[k]) ** share
+                        least, most = min(least, edge), max(most, edge)
+            softest = math.log(sample_modulus(contact, max(least, soft)))
+            stiffest = math.log(sample_modulus(contact, min(most, stiff)))
+            low[pixel, level], high[pixel, level] = max(softest, lower[0]), min(stiffest, upper[0])

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from datetime import datetime, timezone
+from datetime import UTC, datetime
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-import xarray as xr
 from jinja2 import Environment, StrictUndefined
 from matplotlib.figure import Figure
 
@@ -19,8 +18,10 @@ from overtone import plots, provenance
 from overtone._version import __version__
 from overtone.io.atomic import atomic_path
 from overtone.report.content import Report
-from overtone.report.shares import flag_shares, format_share
+from overtone.report.shares import status_shares
 
+_Pairs = tuple[tuple[str, str], ...]
+_SHOWN_ELSEWHERE = ("history", "findings")
 _GREY = "Grey with stripes: the data do not determine the value there. Flat light grey: no data."
 
 
@@ -63,10 +64,10 @@ def render(report: Report) -> str:
     return environment.from_string(source).render(
         report=report,
         figures=list(_pictures(report)),
-        shares={label: _status(result) for label, result in report.properties.items()},
+        status=(status_shares(report.properties),) if report.properties else (),
         records=list(_records(report)),
         version=__version__,
-        date=datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M UTC"),
+        date=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
     )
 
 
@@ -122,18 +123,14 @@ def _picture(title: str, figure: Figure, caption: str) -> _Picture:
     return _Picture(title, caption, f"data:image/png;base64,{data}")
 
 
-def _status(properties: xr.Dataset) -> list[tuple[str, str]]:
-    return [(meaning, format_share(share)) for meaning, share in flag_shares(properties["status"]).items()]
-
-
 @dataclass(frozen=True)
 class _Step:
     """One entry of a history; texts of several lines, such as a probe, stand on their own."""
 
     operation: str
     version: str
-    arguments: tuple[tuple[str, str], ...]
-    texts: tuple[tuple[str, str], ...]
+    arguments: _Pairs
+    texts: _Pairs
 
 
 @dataclass(frozen=True)
@@ -141,7 +138,8 @@ class _Record:
     """What a dataset tells about itself beyond what the observables have already told."""
 
     title: str
-    attributes: tuple[tuple[str, str], ...]
+    attributes: _Pairs
+    texts: _Pairs
     continues: bool
     steps: tuple[_Step, ...]
 
@@ -158,22 +156,28 @@ def _records(report: Report) -> Iterator[_Record]:
         past = [] if first else provenance.history(known)
         entries = provenance.history(dataset)
         continues = bool(past) and entries[: len(past)] == past
-        attributes = tuple(
-            (str(key), _text(value))
+        attributes = {
+            key: value
             for key, value in dataset.attrs.items()
-            if key != "history" and (first or not _same(known.attrs.get(key), value))
-        )
+            if key not in _SHOWN_ELSEWHERE and (first or _text(known.attrs.get(key)) != _text(value))
+        }
+        short, long = _laid_out(attributes, shown)
         steps = tuple(_step(entry, shown) for entry in entries[len(past) if continues else 0 :])
-        yield _Record(title, attributes, continues, steps)
+        yield _Record(title, short, long, continues, steps)
 
 
 def _step(entry: Any, shown: set[str]) -> _Step:
-    """Lay out an entry; a text that was shown before is named, not repeated."""
     if not isinstance(entry, dict):
         return _Step(_text(entry), "", (), ())
     given = entry.get("arguments", {})
+    short, long = _laid_out(given if isinstance(given, dict) else {"arguments": given}, shown)
+    return _Step(_text(entry.get("operation", "?")), _text(entry.get("overtone", "")), short, long)
+
+
+def _laid_out(given: Mapping[Any, Any], shown: set[str]) -> tuple[_Pairs, _Pairs]:
+    """Part texts of several lines from short ones; a text that was shown before is named, not repeated."""
     short, long = [], []
-    for name, value in (given if isinstance(given, dict) else {"arguments": given}).items():
+    for name, value in given.items():
         text = _text(value)
         if "\n" not in text:
             short.append((str(name), text))
@@ -182,15 +186,10 @@ def _step(entry: Any, shown: set[str]) -> _Step:
         else:
             shown.add(text)
             long.append((str(name), text))
-    return _Step(
-        _text(entry.get("operation", "?")), _text(entry.get("overtone", "")), tuple(short), tuple(long)
-    )
+    return tuple(short), tuple(long)
 
 
 def _text(value: Any) -> str:
-    return value if isinstance(value, str) else json.dumps(value, default=str, ensure_ascii=False)
-
-
-def _same(one: Any, other: Any) -> bool:
-    """Compare attributes, which may be arrays."""
-    return _text(one) == _text(other)
+    """Return a value as text; line breaks inside of JSON are broken where a reader expects them."""
+    text = value if isinstance(value, str) else json.dumps(value, default=str, ensure_ascii=False)
+    return text.replace("\\n", "\n").replace('\\"', '"') if text[:1] in ("[", "{") and "\\n" in text else text

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 import xarray as xr
+
+from overtone.report.content import Table
 
 
 def flags(array: xr.DataArray) -> dict[int, str]:
@@ -29,7 +33,7 @@ def flag_shares(array: xr.DataArray) -> dict[str, float]:
     """
     values = np.asarray(array.values)
     total = max(values.size, 1)
-    return {meaning: np.count_nonzero(values == flag) / total for flag, meaning in flags(array).items()}
+    return {meaning: int(np.count_nonzero(values == flag)) / total for flag, meaning in flags(array).items()}
 
 
 def format_share(share: float) -> str:
@@ -47,3 +51,19 @@ def format_share(share: float) -> str:
     if share > 0.9995:
         return "> 99.9 %"
     return f"{100 * share:.1f} %"
+
+
+def status_shares(properties: Mapping[str, xr.Dataset]) -> Table:
+    """Return the shares of status of several results side by side; what no pixel is stays out."""
+    shares = {label: flag_shares(result["status"]) for label, result in properties.items()}
+    meanings = dict.fromkeys(
+        meaning
+        for result in shares.values()
+        for meaning, share in result.items()
+        if share > 0.0 or meaning == "determined"
+    )
+    rows = (
+        (meaning, *(format_share(result.get(meaning, 0.0)) for result in shares.values()))
+        for meaning in meanings
+    )
+    return Table("Share of pixels", ("status", *shares), tuple(rows))

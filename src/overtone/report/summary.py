@@ -10,7 +10,7 @@ import numpy.typing as npt
 import xarray as xr
 
 from overtone.harmonics import ATTRACTIVE, REPULSIVE, UNDETERMINED
-from overtone.inversion.properties import DETERMINED, POOR_RESIDUAL, STATUS_MEANINGS
+from overtone.inversion.properties import DETERMINED, POOR_RESIDUAL
 from overtone.quantities import quantity
 from overtone.report.content import Table
 from overtone.units import display_unit, format_quantity
@@ -53,13 +53,15 @@ def energy_table(energies: xr.Dataset) -> Table:
         mean = format_quantity(float(finite.mean()), unit) if finite.size else "-"
         rows.append((label, mean, _median(values, unit), _range(values, unit, 5, 95)))
     shares = regime_shares(energies)
+    attractive = float((first["F_cons"] > 0).mean())
     return Table(
         "Forces, energy and regime",
         ("quantity", "mean", "median", "5 .. 95 % of pixels"),
         tuple(rows),
         note="Regime by the sign of F1_cons: "
-        + ", ".join(f"{k} {_percent(v)}" for k, v in shares.items())
-        + ".",
+        + ", ".join(f"{name} {_percent(share)}" for name, share in shares.items())
+        + f". With the probe in use alone {_percent(attractive)} would be attractive; undetermined is what noise "
+        "or another reading of the same file turns round.",
     )
 
 
@@ -67,22 +69,6 @@ def regime_shares(energies: xr.Dataset) -> dict[str, float]:
     """Return the share of pixels in each regime."""
     codes = {"attractive": ATTRACTIVE, "undetermined": UNDETERMINED, "repulsive": REPULSIVE}
     return {name: float((energies["regime"] == code).mean()) for name, code in codes.items()}
-
-
-def status_table(properties: Mapping[str, xr.Dataset]) -> Table:
-    """Return the share of pixels with each status, for each result."""
-    meanings = {code: text.replace("_", " ") for code, text in STATUS_MEANINGS.items()}
-    shares = {
-        label: [float((result["status"] == code).mean()) for code in meanings]
-        for label, result in properties.items()
-    }
-    used = [i for i in range(len(meanings)) if i == DETERMINED or any(s[i] > 0 for s in shares.values())]
-    names = list(meanings.values())
-    return Table(
-        "Share of pixels whose modulus ...",
-        ("", *(names[i] for i in used)),
-        tuple((label, *(_percent(s[i]) for i in used)) for label, s in shares.items()),
-    )
 
 
 def property_table(label: str, result: xr.Dataset) -> Table:
@@ -131,8 +117,7 @@ def truth_table(properties: Mapping[str, xr.Dataset], truth: xr.Dataset, materia
                     f"x {math.exp(spread):.3g}",
                     _percent(float((residual < POOR_RESIDUAL).mean())),
                     f"{np.nanmedian(result['uncertainty'].values[mask]):.2g}",
-                    _percent(share),
-                    "can tell" if share >= _MAJORITY else "cannot tell",
+                    f"{_percent(share)}: {'can tell' if share >= _MAJORITY else 'cannot tell'}",
                 )
             )
     return Table(
@@ -147,7 +132,6 @@ def truth_table(properties: Mapping[str, xr.Dataset], truth: xr.Dataset, materia
             "N_r < 0.1",
             "ampl. x noise",
             "determined",
-            "least squares",
         ),
         tuple(rows),
         note="starts: factor between the answers from three starting points (95 % of pixels). N_r < 0.1: what the "

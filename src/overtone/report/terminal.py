@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from rich import box
+from rich.cells import cell_len
 from rich.console import Console
 from rich.padding import Padding
 from rich.table import Table as RichTable
 from rich.text import Text
 
 from overtone.report.content import Report, Table
-from overtone.report.shares import flag_shares, format_share
+from overtone.report.shares import status_shares
 
 _WIDEST = 100
+_GAP = 2
 
 
 def print_report(report: Report, console: Console | None = None) -> None:
@@ -39,12 +43,12 @@ def print_report(report: Report, console: Console | None = None) -> None:
         console.print(_findings(report.findings), width=width)
     for table in report.tables:
         console.print()
-        console.print(_table(table), width=width)
+        console.print(_table(table, width), width=width)
         if table.note:
             console.print(Padding(_plain(table.note, "italic"), (0, 0, 0, 1)), width=width)
     if report.properties:
         console.print()
-        console.print(_table(_status(report)), width=width)
+        console.print(_table(status_shares(report.properties), width), width=width)
 
 
 def _findings(findings: tuple[str, ...]) -> RichTable:
@@ -52,39 +56,53 @@ def _findings(findings: tuple[str, ...]) -> RichTable:
     grid.add_column(width=2, justify="right")
     grid.add_column(overflow="fold")
     for finding in findings:
-        grid.add_row(Text("•"), _plain(finding))
+        grid.add_row(Text("-"), _plain(finding))
     return grid
 
 
-def _table(table: Table) -> RichTable:
+def _table(table: Table, width: int) -> RichTable:
+    if _widths(table, width) is None and _widths(_turned(table), width) is not None:
+        table = _turned(table)
     laid_out = RichTable(
         title=_plain(table.title, "bold"),
         title_justify="left",
         title_style="",
         box=box.SIMPLE_HEAD,
         pad_edge=False,
+        padding=(0, _GAP - 1, 0, 0),
     )
-    for column in table.columns:
-        laid_out.add_column(_plain(column, "bold"), overflow="fold")
+    widths: Sequence[int | None] = _widths(table, width) or [None] * len(table.columns)
+    for column, wide in zip(table.columns, widths, strict=True):
+        laid_out.add_column(_plain(column, "bold"), overflow="fold", width=wide)
     for row in table.rows:
         laid_out.add_row(*(_plain(cell) for cell in row))
     return laid_out
 
 
-def _status(report: Report) -> Table:
-    """Return the shares of status side by side; what no pixel is stays out."""
-    shares = {label: flag_shares(result["status"]) for label, result in report.properties.items()}
-    meanings = dict.fromkeys(
-        meaning
-        for result in shares.values()
-        for meaning, share in result.items()
-        if share > 0.0 or meaning == "determined"
-    )
-    rows = (
-        (meaning, *(format_share(result.get(meaning, 0.0)) for result in shares.values()))
-        for meaning in meanings
-    )
-    return Table("Share of pixels", ("status", *shares), tuple(rows))
+def _turned(table: Table) -> Table:
+    """Return the table with rows and columns exchanged: many columns of few rows fit better so."""
+    first, *others = zip(table.columns, *table.rows, strict=True)
+    return Table(table.title, first, tuple(others), table.note)
+
+
+def _widths(table: Table, width: int) -> list[int] | None:
+    """Return column widths that break no word, None where there are none.
+
+    Left to itself, rich takes from the widest column only, until there is no room for its words.
+    """
+    columns = list(zip(table.columns, *table.rows, strict=True))
+    lines = [max(cell_len(cell) for cell in column) for column in columns]
+    words = [max(cell_len(word) for cell in column for word in [*cell.split(), ""]) for column in columns]
+    spare = width - _GAP * len(columns) - sum(words)
+    if spare < 0:
+        return None
+    # The least needy first: a number with its unit stays on one line, and prose gets what is left.
+    needs = sorted(range(len(words)), key=lambda i: lines[i] - words[i])
+    for left, i in zip(range(len(needs), 0, -1), needs, strict=True):
+        given = min(lines[i] - words[i], spare // left)
+        words[i] += given
+        spare -= given
+    return words
 
 
 def _plain(text: str, style: str = "") -> Text:

@@ -1,0 +1,30 @@
+# One command for each job; each runs in the current environment.
+
+.PHONY: install test lint format bench demo picture clean
+
+install:  ## this package with everything a developer needs
+	python -m pip install -e ".[dev]"
+
+test:  ## the whole test suite, warnings as errors
+	python -m pytest
+
+lint:  ## style, formatting and types, as in CI
+	python -m ruff check .
+	python -m ruff format --check .
+	python -m mypy
+
+format:  ## fix what can be fixed
+	python -m ruff check --fix .
+	python -m ruff format .
+
+bench:  ## speed as ratios against what a user would write today
+	python -m pytest benchmarks --benchmark-only -o "testpaths=benchmarks"
+
+demo:  ## the README's main command
+	overtone demo
+
+picture:  ## the picture of the README, made by the program
+	python docs/picture.py
+
+clean:  ## what tests and builds leave behind
+	rm -rf .numba_cache .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks build dist overtone-demo
