@@ -10,7 +10,6 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from overtone.errors import OvertoneError
-from overtone.quantities import quantity
 from overtone.units import parse_quantity
 
 
@@ -81,6 +80,8 @@ def open_with(path: Path, options: ScanOptions) -> Any:
 
 def parse_noise(texts: Sequence[str]) -> dict[str, float]:
     """Return --noise A0="5 pm" options in SI units."""
+    from overtone.quantities import quantity
+
     noise = {}
     for name, text in parse_pairs(texts, "--noise").items():
         record = quantity(name)

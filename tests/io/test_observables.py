@@ -1,0 +1,273 @@
+import math
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from overtone import provenance
+from overtone.demo import demo_probe, virtual_scan
+from overtone.errors import (
+    ChannelError,
+    ChannelWarning,
+    DistortionWarning,
+    OvertoneError,
+    OvertoneWarning,
+    PhaseReferenceWarning,
+    ProbeError,
+    ResonanceWarning,
+    UncalibratedWarning,
+)
+from overtone.harmonics import far_phase
+from overtone.inversion.properties import NOT_DETERMINED, map_energy, map_properties
+from overtone.io.netcdf import save
+from overtone.io.observables import missing_for_modulus, open_scan
+from overtone.probe import Probe
+from overtone.readings import probe_of, reading_of
+
+SNOM = "neasnom/SnO2_NW4_hyp"
+
+
+def snom_probe(radius: float | None = 20e-9) -> Probe:
+    return Probe.simple(
+        stiffness=40.0,
+        frequency=237.595e3,
+        quality_factor=400.0,
+        drive_frequency=237595.092,
+        free_amplitude=123.6e-9,
+        radius=radius,
+    )
+
+
+def quietly(path: Path, **arguments: object) -> xr.Dataset:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", OvertoneWarning)
+        return open_scan(path, **arguments)  # type: ignore[arg-type]
+
+
+def said(dataset: xr.Dataset) -> str:
+    return "\n".join(provenance.findings(dataset))
+
+
+# --- a real Cypher scan -----------------------------------------------------------------------------
+
+
+def test_energy_and_regime_of_a_real_scan(afm_data: Path) -> None:
+    scan = quietly(afm_data / "ibw" / "AR_20211011.ibw")
+    result = map_energy(scan, probe_of(scan))
+    first = result["F_cons"].sel(harmonic=1)
+    assert float(first.mean()) == pytest.approx(-0.0483e-9, abs=1e-12)
+    assert float((first > 0).mean()) == pytest.approx(0.281, abs=2e-3)
+    assert float(result["dissipation"].mean()) / 1.602176634e-19 == pytest.approx(106.9, abs=0.3)
+    # Every pixel the rejected resonance or the free-air phase turns round is undetermined.
+    regime = result["regime"]
+    assert not (regime == 1).any()
+    assert 0.1 < float((regime == -1).mean()) < 0.281
+    assert "Rejected thermal" in said(scan)
+    assert "A0" in missing_for_modulus(scan)
+    assert "A2" in missing_for_modulus(scan)
+
+
+def test_shifting_the_phase_to_90_degrees_would_be_wrong(afm_data: Path) -> None:
+    """The drive is below resonance: referred to the free lever, the free phase is 69 degrees, not 90."""
+    path = afm_data / "ibw" / "AR_20211011.ibw"
+    referred = quietly(path, far_phase=math.radians(70.714))
+    stored = quietly(path)
+    shift = float((referred["phi1"] - stored["phi1"]).mean())
+    assert math.degrees(shift) == pytest.approx(69.42 - 70.714, abs=0.02)
+    assert float(map_energy(referred, probe_of(referred))["F_cons"].sel(harmonic=1).mean()) < 0.0
+
+
+def test_a_scan_of_factory_defaults_is_named(afm_data: Path) -> None:
+    with pytest.warns(UncalibratedWarning, match="SpringConstant"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", ResonanceWarning)
+        warnings.simplefilter("ignore", PhaseReferenceWarning)
+        scan = open_scan(afm_data / "ibw" / "tono_whiskers.ibw")
+    assert "UncalibratedWarning" in said(scan)
+    reading = reading_of(scan)
+    assert reading is not None
+    assert not reading.phase_established
+    assert (map_energy(scan, probe_of(scan))["regime"] == 0).all()
+
+
+def test_nap_channels_never_mix_in(afm_data: Path) -> None:
+    scan = quietly(afm_data / "ibw" / "AutexysEFM_0000.ibw")
+    assert scan["A1"].attrs["channel"] == "Amplitude"
+    assert scan["phi1"].attrs["channel"] == "Phase"
+
+
+def test_two_drive_tones_are_not_harmonics(afm_data: Path) -> None:
+    with pytest.raises(OvertoneError):
+        quietly(afm_data / "ibw" / "DTMicroscope_scan_0001_DART.ibw")
+    scan = quietly(afm_data / "ibw" / "DTMicroscope_scan_0001_DART.ibw", probe=snom_probe())
+    assert "A1" in scan
+    assert "A2" not in scan
+
+
+def test_a_scan_without_phase_is_refused(afm_data: Path) -> None:
+    with pytest.raises(ChannelError, match="no channel for A1 and phi1"):
+        open_scan(afm_data / "ibw" / "10x10-one_channel_without_name.ibw")
+
+
+# --- a real harmonic scan ---------------------------------------------------------------------------
+
+
+def test_a_phase_without_zero_is_asked_for(afm_data: Path) -> None:
+    with pytest.raises(ChannelError, match="--far-phase"):
+        quietly(afm_data / SNOM, probe=snom_probe())
+    with pytest.raises(ProbeError, match="stiffness"):
+        quietly(afm_data / SNOM, far_phase=1.57)
+
+
+def test_harmonics_without_unit_are_left_out(afm_data: Path) -> None:
+    with pytest.warns(ChannelWarning, match=r"A0 \(M0A: no unit\), A2 \(M2A: no unit\), A3 \(M3A: no unit\)"):
+        scan = open_scan(afm_data / SNOM, probe=snom_probe(), far_phase=1.57)
+    assert set(scan.data_vars) == {"height", "A1", "phi1"}
+    result = map_energy(scan, snom_probe())
+    assert list(result["harmonic"].values) == [1]
+    scale = 40.0 * 123.6e-9 / 400.0
+    assert float(abs(result["F_cons"]).max()) < 1.1 * scale
+    assert 0.0 < float(result["dissipation"].median()) < 1e-15
+
+
+def test_a_second_harmonic_locked_to_the_first_proves_nothing(afm_data: Path) -> None:
+    with pytest.warns(DistortionWarning, match=r"constant to 0\.013 rad"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", ChannelWarning)
+        scan = open_scan(
+            afm_data / SNOM, probe=snom_probe(), far_phase=1.57, scales={"M2A": 1e-9, "M3A": 1e-9}
+        )
+    forces = map_energy(scan, snom_probe())
+    assert list(forces["harmonic"].values) == [1, 2, 3]
+    single = 3 * 40.0 * float(scan["A2"].mean())
+    assert float(np.hypot(forces["F_cons"], forces["F_diss"]).sel(harmonic=2).mean()) == pytest.approx(
+        single, rel=0.02
+    )
+    result = map_properties(
+        scan, snom_probe(), model="dmt-linear", poisson_ratio=0.25, harmonics=(1, 2, 3)
+    )
+    status = result["status"].values
+    assert not np.isfinite(result["modulus"]).any()
+    assert (status == NOT_DETERMINED).any()
+    assert "no modulus can be concluded" in result.attrs["cannot_conclude"]
+
+
+# --- made files -------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def scan() -> xr.Dataset:
+    return virtual_scan(shape=(6, 8), seed=2)[0]
+
+
+def test_a_saved_scan_opens_as_it_was(scan: xr.Dataset, tmp_path: Path) -> None:
+    save(scan, tmp_path / "scan.nc")
+    again = open_scan(tmp_path / "scan.nc")
+    for name in scan.data_vars:
+        np.testing.assert_array_equal(again[name], scan[name])
+    assert probe_of(again) == demo_probe()
+    reading = reading_of(again)
+    assert reading is not None
+    assert reading.corrected
+    assert not reading.doubts
+
+
+def write_table(folder: Path, scan: xr.Dataset, header: str = "") -> Path:
+    path = folder / "scan.csv"
+    names = ["A0", "A1", "phi1", "A2", "phi2"]
+    rows = [", ".join(f"{name} [{'deg' if name.startswith('phi') else 'pm'}]" for name in names)]
+    scale = [np.degrees(1.0) if name.startswith("phi") else 1e12 for name in names]
+    for values in zip(*(scan[name].values.ravel() for name in names), strict=True):
+        rows.append(", ".join(repr(float(v * s)) for v, s in zip(values, scale, strict=True)))
+    path.write_text(header + "\n".join(rows))
+    return path
+
+
+def test_a_table_is_doubted_until_it_is_said_to_be_corrected(scan: xr.Dataset, tmp_path: Path) -> None:
+    path = write_table(tmp_path, scan)
+    with pytest.warns(DistortionWarning, match="zero far from the surface is not known"):
+        doubted = open_scan(path, probe=demo_probe())
+    np.testing.assert_allclose(doubted["A0"], scan["A0"].values.ravel(), rtol=1e-12)
+    np.testing.assert_allclose(doubted["phi2"], scan["phi2"].values.ravel(), rtol=1e-12)
+    reading = reading_of(doubted)
+    assert reading is not None
+    assert 0 in reading.doubts
+    trusted = reading_of(open_scan(path, probe=demo_probe(), corrected=True))
+    assert trusted is not None
+    assert not trusted.doubts
+
+
+def test_phase_reference_turns_every_harmonic(scan: xr.Dataset, tmp_path: Path) -> None:
+    """A phase stored as a lead with an arbitrary zero: referred to the free lever it is what it was.
+
+    Shifting the reference of phi1 by eps shifts phi_n by n eps.
+    """
+    eps = 0.7
+    stored = scan[["A0", "A1", "phi1", "A2", "phi2"]].copy(deep=True)
+    for n in (1, 2):
+        stored[f"phi{n}"] = -(scan[f"phi{n}"] - n * eps)
+    path = write_table(tmp_path, stored)
+    free_reading = -(far_phase(demo_probe()) - eps)
+    again = open_scan(path, probe=demo_probe(), far_phase=free_reading, phase_sign=-1, corrected=True)
+    for n in (1, 2):
+        np.testing.assert_allclose(again[f"phi{n}"], scan[f"phi{n}"].values.ravel(), atol=1e-12)
+
+
+def test_a_wrong_probe_is_noticed(scan: xr.Dataset, tmp_path: Path) -> None:
+    path = write_table(tmp_path, scan)
+    small = Probe.simple(
+        stiffness=16.4, frequency=161.8e3, quality_factor=287.0, drive_frequency=161.8e3, free_amplitude=20e-9
+    )
+    with pytest.warns(UncalibratedWarning, match="more than the free amplitude"):
+        open_scan(path, probe=small, corrected=True)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        ({"channels": {"A2": "UserIn7"}}, "no channel 'UserIn7'"),
+        ({"channels": {"B2": "A2"}}, "not an observable"),
+        ({"scales": {"A9": 1.0}}, "no channel 'A9'"),
+        ({"phase_sign": 2}, "unknown phase sign"),
+        ({"direction": "trace"}, "has no trace"),
+    ],
+)
+def test_wrong_options_are_named(
+    scan: xr.Dataset, tmp_path: Path, arguments: dict[str, object], word: str
+) -> None:
+    with pytest.raises(ChannelError, match=word):
+        quietly(write_table(tmp_path, scan), probe=demo_probe(), **arguments)
+
+
+def test_channels_can_be_named(scan: xr.Dataset, tmp_path: Path) -> None:
+    path = write_table(tmp_path, scan)
+    path.write_text(path.read_text().replace("A2 [pm]", "UserIn0"))
+    named = quietly(path, probe=demo_probe(), channels={"A2": "UserIn0"}, scales={"UserIn0": 1e-12})
+    np.testing.assert_allclose(named["A2"], scan["A2"].values.ravel(), rtol=1e-12)
+
+
+def test_trace_and_retrace_do_not_mix(
+    igor_wave: Callable[..., bytes], tmp_path: Path
+) -> None:
+    note = "SpringConstant: 28\rThermalQ: 400\rThermalFrequency: 257000\rDriveFrequency: 257000\rAmpInvOLS: 4e-8\r"
+    note += "FreeAirAmplitude: 1\rFreeAirPhase: 90\rImagingMode: AC Mode\r"
+    values = np.full((3, 4, 2), 20.0)
+    path = tmp_path / "mixed.ibw"
+    path.write_bytes(igor_wave(values, note=note, labels=[[], [], ["AmplitudeTrace", "PhaseRetrace"]]))
+    with pytest.raises(ChannelError, match="do not mix"):
+        quietly(path)
+
+
+def test_deflection_with_the_set_point_in_it_is_not_a_mean_deflection(
+    igor_wave: Callable[..., bytes], tmp_path: Path
+) -> None:
+    note = "SpringConstant: 28\rThermalQ: 400\rThermalFrequency: 257000\rDriveFrequency: 257000\rAmpInvOLS: 4e-8\r"
+    note += "FreeAirAmplitude: 1\rFreeAirPhase: 90\rImagingMode: AC Mode\r"
+    values = np.stack([np.full((3, 4), v) for v in (20e-9, 80.0, 37e-9)], axis=-1)
+    path = tmp_path / "setpoint.ibw"
+    labels = [[], [], ["AmplitudeRetrace", "PhaseRetrace", "DeflectionRetrace"]]
+    path.write_bytes(igor_wave(values, note=note, labels=labels))
+    with pytest.warns(ChannelWarning, match="a set-point is still in it"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", PhaseReferenceWarning)
+        assert "A0" not in open_scan(path)

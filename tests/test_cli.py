@@ -1,0 +1,251 @@
+"""The commands as a user runs them: on real files, on wrong ones, and what they leave behind."""
+
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from overtone.cli import main
+from overtone.demo import virtual_scan
+from overtone.inversion.properties import MISSING_DATA, NOT_DETERMINED
+from overtone.io.netcdf import load, save
+
+PROBE = """
+[cantilever]
+stiffness = "40 N/m"
+frequency = "237.595 kHz"
+quality_factor = 400
+
+[drive]
+frequency = "237595.092 Hz"
+free_amplitude = "123.6 nm"
+"""
+
+
+@pytest.fixture
+def probe_file(tmp_path: Path) -> Path:
+    path = tmp_path / "probe.toml"
+    path.write_text(PROBE, encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="module")
+def scan_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("scan") / "scan.nc"
+    save(virtual_scan(shape=(10, 12), seed=3)[0], path)
+    return path
+
+
+def run(*arguments: object) -> int:
+    """Run the command line and return its exit code."""
+    try:
+        main([str(argument) for argument in arguments])
+    except SystemExit as stop:
+        return int(stop.code or 0)
+    return 0
+
+
+def flat(text: str) -> str:
+    return re.sub(r"\s+", " ", text)
+
+
+def test_map_a_real_scan(afm_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out, page = tmp_path / "maps.nc", tmp_path / "maps.html"
+    assert run("map", afm_data / "ibw" / "AR_20211011.ibw", "-o", out, "--report", page) == 0
+    printed = flat(capsys.readouterr().out)
+    assert "Rejected thermal" in printed
+    assert "for a modulus this file lacks A0" in printed
+    assert "-48.3 pN" in printed
+    result = load(out)
+    assert {"dissipation", "virial", "regime", "F_cons"} <= set(result.data_vars)
+    assert "modulus" not in result
+    assert result["dissipation"].attrs["units"] == "J"
+    assert result["regime"].attrs["flag_meanings"] == "attractive undetermined repulsive"
+    text = page.read_text(encoding="utf-8")
+    assert "Rejected thermal" in text
+    assert "<img" in text
+
+
+def test_map_a_real_harmonic_scan(
+    afm_data: Path, tmp_path: Path, probe_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = afm_data / "neasnom" / "SnO2_NW4_hyp"
+    reading = ["--probe", probe_file, "--far-phase", "90 deg"]
+    assert run("map", folder, "-o", tmp_path / "energy.nc", *reading) == 0
+    assert "not used for want of a unit: A0 (M0A: no unit)" in flat(capsys.readouterr().out)
+    assert list(load(tmp_path / "energy.nc")["harmonic"].values) == [1]
+
+    asked = [*reading, "--radius", "20 nm", "--poisson-ratio", 0.25]
+    assert run("map", folder, "-o", tmp_path / "none.nc", "--model", "dmt-linear", *asked) == 0
+    assert (load(tmp_path / "none.nc")["status"] == NOT_DETERMINED).all()
+
+    scaled = ["--scale", "M2A=1 nm", "--scale", "M3A=1 nm"]
+    assert run("map", folder, "-o", tmp_path / "all.nc", *asked, *scaled) == 0
+    assert "distortion in the detector" in flat(capsys.readouterr().out)
+    result = load(tmp_path / "all.nc")
+    assert list(result["harmonic"].values) == [1, 2, 3]
+    assert not np.isfinite(result["modulus"]).any()
+    assert "no modulus can be concluded" in result.attrs["cannot_conclude"]
+
+
+def test_map_a_simulated_scan(scan_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "maps.nc"
+    arguments = ["--poisson-ratio", 0.35, "--harmonics", "1,2,3", "--noise", "A2=0.5 pm"]
+    assert run("map", scan_file, "-o", out, *arguments) == 0
+    assert "of pixels are determined" in flat(capsys.readouterr().out)
+    result = load(out)
+    assert result["modulus"].dims == ("y", "x")
+    assert 0.1 < float(np.isfinite(result["modulus"]).mean()) < 0.9
+
+
+def test_radius_and_poisson_ratio_are_asked_for(
+    scan_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "maps.nc"
+    assert run("map", scan_file, "-o", out) == 0
+    assert "--poisson-ratio" in flat(capsys.readouterr().out)
+    assert "modulus" not in load(out)
+    assert run("map", scan_file, "-o", tmp_path / "no.nc", "--model", "hertz") == 1
+    assert "Poisson's ratio" in flat(capsys.readouterr().err)
+    assert not (tmp_path / "no.nc").exists()
+
+
+def test_nan_pixels_are_a_status(tmp_path: Path) -> None:
+    scan, _ = virtual_scan(shape=(4, 5), seed=1)
+    scan["A2"][1, 2] = np.nan
+    save(scan, tmp_path / "holes.nc")
+    assert run("map", tmp_path / "holes.nc", "-o", tmp_path / "maps.nc", "--poisson-ratio", 0.3) == 0
+    result = load(tmp_path / "maps.nc")
+    assert int(result["status"][1, 2]) == MISSING_DATA
+    assert int((result["status"] == MISSING_DATA).sum()) == 1
+
+
+def broken(kind: str, afm_data: Path, folder: Path) -> tuple[list[object], str]:
+    """Return arguments for a wrong call of map, and what its message has to say."""
+    real = afm_data / "ibw" / "AR_20211011.ibw"
+    path = folder / "scan.ibw"
+    if kind == "missing":
+        return [folder / "none.ibw"], "there is no file"
+    if kind == "truncated":
+        path.write_bytes(real.read_bytes()[:40_000])
+        return [path], "FileFormatError"
+    if kind == "text":
+        path.write_text("x, y\nthis is no scan\n")
+        return [path], "FileFormatError"
+    if kind == "empty":
+        path.touch()
+        return [path], "FileFormatError"
+    if kind == "no phase":
+        return [afm_data / "ibw" / "10x10-one_channel_without_name.ibw"], "no channel for A1 and phi1"
+    if kind == "probe without k":
+        probe = folder / "probe.toml"
+        probe.write_text(PROBE.replace('stiffness = "40 N/m"\n', ""))
+        return [real, "--probe", probe], "lacks stiffness"
+    if kind == "wrong unit in the probe":
+        probe = folder / "probe.toml"
+        probe.write_text(PROBE.replace("40 N/m", "40 nm"))
+        return [real, "--probe", probe], "does not fit"
+    if kind == "wrong unit in an option":
+        return [real, "--radius", "10 Hz"], "does not fit"
+    if kind == "no unit in an option":
+        return [real, "--far-phase", "90"], "has no unit"
+    if kind == "unknown method":
+        return [real, "--harmonics", "one"], "--harmonics is not a list"
+    if kind == "no folder":
+        return [real, "-o", folder / "nowhere" / "out.nc"], "does not exist"
+    assert kind == "no netCDF name"
+    return [real, "-o", folder / "out.txt"], "nc"
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "missing",
+        "truncated",
+        "text",
+        "empty",
+        "no phase",
+        "probe without k",
+        "wrong unit in the probe",
+        "wrong unit in an option",
+        "no unit in an option",
+        "unknown method",
+        "no folder",
+        "no netCDF name",
+    ],
+)
+def test_wrong_input_gets_a_clear_error_and_leaves_no_output(
+    kind: str, afm_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    work = tmp_path / "work"
+    work.mkdir()
+    arguments, word = broken(kind, afm_data, work)
+    before = {path.name for path in work.iterdir()}
+    if "-o" not in arguments:
+        arguments += ["-o", work / "out.nc"]
+    assert run("map", *arguments, "--report", work / "out.html") == 1
+    captured = capsys.readouterr()
+    assert word in flat(captured.err)
+    assert "Traceback" not in captured.err
+    assert {path.name for path in work.iterdir()} == before
+
+
+@pytest.mark.parametrize("name", ["AR_20211011", "tono_whiskers", "AutexysEFM_0000", "DTMicroscope_scan_0001_DART"])
+def test_inspect_real_files(name: str, afm_data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("inspect", afm_data / "ibw" / f"{name}.ibw") == 0
+    printed = flat(capsys.readouterr().out)
+    assert "Asylum" in printed
+    assert "Channels" in printed
+    if name == "tono_whiskers":
+        assert "factory default" in printed
+        assert "UncalibratedWarning" in printed
+
+
+def test_inspect_says_what_to_ask_for(afm_data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("inspect", afm_data / "neasnom" / "SnO2_NW4_hyp") == 0
+    printed = flat(capsys.readouterr().out)
+    assert "cannot be mapped as it is" in printed
+    assert run("inspect", afm_data / "none.ibw") == 1
+    assert "there is no file" in flat(capsys.readouterr().err)
+
+
+def test_models_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("models") == 0
+    printed = flat(capsys.readouterr().out)
+    for key in ("hertz", "dmt-linear", "dmt"):
+        assert key in printed
+    assert "gamma/(2 beta)" in printed
+
+
+def test_the_demo_writes_what_it_says(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("demo", "-o", tmp_path / "demo") == 0
+    printed = flat(capsys.readouterr().out)
+    assert "cannot tell" in printed
+    assert "can tell" in printed
+    assert "1.93 GPa" in printed
+    result = load(tmp_path / "demo" / "results.nc")
+    assert result.sizes["y"] == result.sizes["x"] == 128
+    truth = result["modulus_truth"]
+    stiff = result["material_truth"] == 0
+    status = result["status"].sel(harmonics="1 2 3")
+    assert float((status == 0).where(stiff).mean()) < 0.01
+    assert float((status == 0).where(~stiff).mean()) > 0.9
+    low, high = (result[f"modulus_{end}"].sel(harmonics="1 2 3") for end in ("lower", "upper"))
+    assert 0.88 < float(((low <= truth) & (truth <= high)).mean()) < 0.98
+    again = tmp_path / "maps.nc"
+    assert run("map", tmp_path / "demo" / "scan.nc", "-o", again, "--poisson-ratio", 0.35) == 0
+    xr.testing.assert_equal(
+        load(again)["modulus_unscreened"].drop_attrs(),
+        result["modulus_unscreened"].sel(harmonics="0 1 2", drop=True).drop_attrs(),
+    )
+
+
+def test_help_needs_no_heavy_imports() -> None:
+    """Typing --help should not compile or load what only mapping needs."""
+    import subprocess
+
+    code = "import sys, overtone.cli.app; sys.exit('numba' in sys.modules or 'xarray' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
