@@ -742,6 +742,11 @@ def _draw_energies(cells: npt.NDArray[np.object_], energies: xr.Dataset) -> None
 def png_bytes(figure: Figure) -> bytes:
     """Return the figure as a PNG at its own resolution, in 256 colours: maps of noise pack badly in more."""
     drawn, packed = io.BytesIO(), io.BytesIO()
+    engine = figure.get_layout_engine()
+    if engine is not None:
+        # Laid out once and for all: saving would otherwise draw everything a second time to do it again.
+        engine.execute(figure)
+        figure.set_layout_engine("none")
     figure.savefig(drawn, format="png", metadata={"Software": None})
     with Image.open(drawn) as picture:
         palette = picture.convert("RGB").quantize(
