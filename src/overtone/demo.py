@@ -127,14 +127,14 @@ def run_demo(folder: str | Path, *, progress: Progress | None = None) -> Demo:
     energies = map_energy(observables, probe)
     results: dict[str, xr.Dataset] = {}
     for orders in _HARMONIC_SETS:
-        label = " ".join(map(str, orders))
+        label = "harmonics " + " ".join(map(str, orders))
         results[label] = map_properties(
             observables,
             probe,
             model="dmt-linear",
             poisson_ratio=_POISSON_RATIO,
             harmonics=orders,
-            progress=lambda done, count, label=label: notify(f"inverting {label}", done, count),  # type: ignore[misc]
+            progress=lambda done, count, label=label: notify(label, done, count),  # type: ignore[misc]
         )
     materials = (POLYSTYRENE.name, POLYOLEFIN.name)
     report = Report(
@@ -184,6 +184,6 @@ def _verdicts(
             share = float((status == 0).mean())
             verb = "determine" if share >= 0.5 else "do not determine"
             sentences.append(
-                f"Harmonics {label} {verb} the modulus of {material}: determined at {100 * share:.0f} % of its pixels."
+                f"{label.capitalize()} {verb} the modulus of {material}: {100 * share:.0f} % of its pixels are."
             )
     return tuple(sentences)

@@ -39,7 +39,7 @@ _Array = npt.NDArray[np.float64]
 _Limits = tuple[float, float]
 
 TITLE_SIZE, LABEL_SIZE, TICK_SIZE = 10.0, 9.0, 8.0
-DPI = 110
+DPI = 100
 NO_DATA = "no data"
 MISSING_COLOUR = "0.87"
 _TITLES = {
@@ -689,7 +689,7 @@ def overview_figure(report: Report, label: str | None = None) -> Figure:
         Which property result; the one with most determined pixels where not given.
     """
     observables = report.observables
-    names = ["height" if "height" in observables else "A1", "phi1", "A2"]
+    names = ["height" if "height" in observables else "A1", "A0" if "A0" in observables else "phi1", "A2"]
     top: list[xr.DataArray] = [observables[name] for name in names if name in observables]
     if report.truth is None or not report.properties:
         spare = [name for name in _measured(observables) if name not in names]

@@ -1,6 +1,7 @@
 """Closed forms against quadrature of the force law itself, over the whole period, and against the paper."""
 
 import math
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -30,7 +31,7 @@ def law_by_quadrature(law: Any, amplitude: float, Delta: float, levels: tuple[fl
     out = []
     for n in ORDERS:
         total = 0.0
-        for a, b in zip(ends, ends[1:], strict=False):
+        for a, b in pairwise(ends):
             middle = 0.5 * (a + b)
 
             def integrand(s: float, start: float, sign: float, n: int = n) -> float:

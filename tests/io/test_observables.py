@@ -144,9 +144,7 @@ def test_a_second_harmonic_locked_to_the_first_proves_nothing(afm_data: Path) ->
     assert float(np.hypot(forces["F_cons"], forces["F_diss"]).sel(harmonic=2).mean()) == pytest.approx(
         single, rel=0.02
     )
-    result = map_properties(
-        scan, snom_probe(), model="dmt-linear", poisson_ratio=0.25, harmonics=(1, 2, 3)
-    )
+    result = map_properties(scan, snom_probe(), model="dmt-linear", poisson_ratio=0.25, harmonics=(1, 2, 3))
     status = result["status"].values
     assert not np.isfinite(result["modulus"]).any()
     assert (status == NOT_DETERMINED).any()
@@ -247,9 +245,7 @@ def test_channels_can_be_named(scan: xr.Dataset, tmp_path: Path) -> None:
     np.testing.assert_allclose(named["A2"], scan["A2"].values.ravel(), rtol=1e-12)
 
 
-def test_trace_and_retrace_do_not_mix(
-    igor_wave: Callable[..., bytes], tmp_path: Path
-) -> None:
+def test_trace_and_retrace_do_not_mix(igor_wave: Callable[..., bytes], tmp_path: Path) -> None:
     note = "SpringConstant: 28\rThermalQ: 400\rThermalFrequency: 257000\rDriveFrequency: 257000\rAmpInvOLS: 4e-8\r"
     note += "FreeAirAmplitude: 1\rFreeAirPhase: 90\rImagingMode: AC Mode\r"
     values = np.full((3, 4, 2), 20.0)

@@ -29,7 +29,7 @@ def test_the_resonance_that_predicts_the_free_phase_wins(
 ) -> None:
     with pytest.warns(ResonanceWarning, match=rf"Used {winner}.*Rejected"):
         tests = rank_resonances(recording(phase, *order))
-    assert [test.resonance.source for test in tests][0] == winner
+    assert tests[0].resonance.source == winner
     assert len(tests) == 2
 
 

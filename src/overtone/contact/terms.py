@@ -15,6 +15,8 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from overtone.kernels import KERNEL
+
 # Shape of the adhesive force against the gap, in units of the force of adhesion.
 NO_ADHESION = 0
 LINEAR_TAIL = 1  # eq 17: falls linearly to zero at d = 2 a0
@@ -24,7 +26,7 @@ _SERIES_LIMIT = 0.1
 _AGM_STEPS = 7
 
 
-@njit(cache=True, nogil=True)
+@njit(**KERNEL)
 def sphere_force(gap: float, Lambda: float) -> float:
     """Return the Hertz force of a paraboloid, ``Lambda (-d)^(3/2)`` in contact [N]."""
     if gap >= 0.0:
@@ -32,7 +34,7 @@ def sphere_force(gap: float, Lambda: float) -> float:
     return Lambda * (-gap) * math.sqrt(-gap)
 
 
-@njit(cache=True, nogil=True)
+@njit(**KERNEL)
 def adhesion_shape(tail: int, gap: float, a0: float) -> float:
     """Return the attractive force in units of F_ad: 1 in contact, the tail outside."""
     if tail == NO_ADHESION:
@@ -45,7 +47,7 @@ def adhesion_shape(tail: int, gap: float, a0: float) -> float:
     return ratio * ratio
 
 
-@njit(cache=True, nogil=True)
+@njit(**KERNEL)
 def _elliptic(m: float) -> tuple[float, float]:
     """Return the complete elliptic integrals K and E of parameter m < 1 (arithmetic-geometric mean)."""
     a, b, power, total = 1.0, math.sqrt(1.0 - m), 0.5, 0.5 * m
@@ -58,7 +60,7 @@ def _elliptic(m: float) -> tuple[float, float]:
     return K, K * (1.0 - total)
 
 
-@njit(cache=True, nogil=True)
+@njit(**KERNEL)
 def _power_series(order: int, power: float, prefactor: float, Delta: float) -> float:
     """Sum ``prefactor Delta^(p + 1/2) 2F1(1/2 - n, 1/2 + n; p + 3/2; Delta)`` for small Delta."""
     term, total = 1.0, 1.0
@@ -75,7 +77,7 @@ _ROOT_PREFACTOR = math.sqrt(math.pi) * math.sqrt(2.0) * math.gamma(1.5) / math.g
 _SPHERE_PREFACTOR = math.sqrt(math.pi) * 2.0**1.5 * math.gamma(2.5) / math.gamma(3.0)
 
 
-@njit(cache=True, nogil=True)
+@njit(**KERNEL)
 def sphere_integrals(
     Delta: float, n_max: int, K: npt.NDArray[np.float64], dK: npt.NDArray[np.float64]
 ) -> None:
@@ -115,7 +117,7 @@ def sphere_integrals(
         dK[n + 1] = 3.0 * here
 
 
-@njit(cache=True, nogil=True)
+@njit(**KERNEL)
 def sphere_harmonics(
     amplitude: float, Delta: float, n_max: int, h: npt.NDArray[np.float64], dh: npt.NDArray[np.float64]
 ) -> None:
@@ -128,7 +130,7 @@ def sphere_harmonics(
         scale = -2.0 * scale if n == 0 else -scale
 
 
-@njit(cache=True, nogil=True)
+@njit(**KERNEL)
 def _linear_tail_integral(n: int, u2: float, c: float) -> float:
     """Return the antiderivative of ``(u2 - cos psi) cos(n psi)`` at psi = c."""
     if n == 0:
@@ -140,7 +142,7 @@ def _linear_tail_integral(n: int, u2: float, c: float) -> float:
     )
 
 
-@njit(cache=True, nogil=True)
+@njit(**KERNEL)
 def linear_adhesion_harmonics(
     amplitude: float,
     Delta: float,

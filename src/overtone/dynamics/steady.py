@@ -30,6 +30,7 @@ from overtone.contact.terms import (
 )
 from overtone.errors import OvertoneError
 from overtone.harmonics import tip_receptance, to_observables
+from overtone.kernels import INNER, KERNEL
 from overtone.probe import Probe, format_probe
 from overtone.quantities import named_array
 
@@ -41,7 +42,7 @@ _STATUS_FLAGS = {
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(10)
 _CONTACT_NODES, _CONTACT_WEIGHTS = np.polynomial.legendre.leggauss(24)
-_WIDEST_PIECE = 0.3
+_WIDEST_PIECE = 6.0  # phase of the highest harmonic that one piece of ten nodes spans [rad]
 _ITERATIONS = 60
 _GAP_TOLERANCE = 1e-18
 
@@ -49,7 +50,7 @@ _Floats = npt.NDArray[np.float64]
 _Complex = npt.NDArray[np.complex128]
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _gap(theta: float, g: float, amplitude: float, b: _Complex) -> tuple[float, float]:
     """Return the gap and its derivative by theta."""
     turn = complex(math.cos(theta), math.sin(theta))
@@ -61,7 +62,7 @@ def _gap(theta: float, g: float, amplitude: float, b: _Complex) -> tuple[float, 
     return d, slope
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _crossing(level: float, inside: float, outside: float, g: float, amplitude: float, b: _Complex) -> float:
     """Return the phase between ``inside`` (gap below the level) and ``outside`` where the gap meets it."""
     if _gap(outside, g, amplitude, b)[0] <= level:
@@ -84,7 +85,7 @@ def _crossing(level: float, inside: float, outside: float, g: float, amplitude: 
     return x
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _add_sample(
     theta: float,
     weight: float,
@@ -98,17 +99,20 @@ def _add_sample(
     f: _Complex,
 ) -> None:
     """Add the force at one phase to the harmonics."""
-    d, _ = _gap(theta, g, amplitude, b)
-    force = (sphere_force(d, Lambda) - adhesion * adhesion_shape(tail, d, a0)) * weight / math.pi
-    turn = complex(math.cos(theta), -math.sin(theta))
-    f[0] += 0.5 * force
-    power = complex(force, 0.0)
-    for n in range(1, f.shape[0]):
+    turn = complex(math.cos(theta), math.sin(theta))
+    d, power = g + amplitude * turn.real, turn
+    for n in range(2, b.shape[0]):
         power *= turn
+        d += b[n].real * power.real - b[n].imag * power.imag
+    force = (sphere_force(d, Lambda) - adhesion * adhesion_shape(tail, d, a0)) * weight / math.pi
+    f[0] += 0.5 * force
+    back, power = turn.conjugate(), complex(force, 0.0)
+    for n in range(1, f.shape[0]):
+        power *= back
         f[n] += power
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _force_harmonics(
     g: float,
     amplitude: float,
@@ -153,9 +157,10 @@ def _force_harmonics(
         width = math.sqrt(2.0 * (a0 + max(closest, 0.0)) / amplitude)
         if closest < 0.0:
             width = min(width, a0 / max(abs(slope), 1e-300))
+        widest = _WIDEST_PIECE / max(f.shape[0] - 1, 10)
         left_edge = start
         while left_edge != end:
-            right_edge = left_edge + side * min(width, _WIDEST_PIECE)
+            right_edge = left_edge + side * min(width, widest)
             if side * (right_edge - end) > -1e-12:
                 right_edge = end
             half, middle = 0.5 * (right_edge - left_edge), 0.5 * (right_edge + left_edge)
@@ -167,7 +172,7 @@ def _force_harmonics(
     return closest
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _first_guess(
     indentation: float,
     amplitude: float,
@@ -195,7 +200,7 @@ def _first_guess(
     return size - drive_force, -balance.real * change / (size * 2.0 * amplitude)
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _hold(
     amplitude: float,
     tail: int,
@@ -251,7 +256,7 @@ def _hold(
     return g, -closest, NOT_CONVERGED
 
 
-@njit(cache=True, nogil=True)
+@njit(**KERNEL)
 def _hold_block(
     amplitude: float,
     tail: int,

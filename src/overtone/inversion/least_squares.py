@@ -35,6 +35,7 @@ from overtone.inversion.linear import (
     stiffness,
     term_harmonics,
 )
+from overtone.kernels import INNER, KERNEL
 
 STARTS: tuple[tuple[float, float, float], ...] = (
     (0.05e9, 10e-9, 20e-9),
@@ -56,7 +57,7 @@ _UNKNOWNS = 3
 _Floats = npt.NDArray[np.float64]
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _evaluate(
     x: _Floats,
     observed: _Floats,
@@ -91,7 +92,7 @@ def _evaluate(
     return total
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _solve(M: _Floats, b: _Floats, n: int, out: _Floats) -> bool:
     """Solve a small symmetric positive system by Cholesky; return False where it is not positive."""
     L = np.empty((_UNKNOWNS, _UNKNOWNS))
@@ -119,7 +120,7 @@ def _solve(M: _Floats, b: _Floats, n: int, out: _Floats) -> bool:
     return True
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _descend(
     x: _Floats,
     observed: _Floats,
@@ -171,7 +172,12 @@ def _descend(
             done = damping < 1e-6 and (size <= _STEP_TOLERANCE or (size < 1e-6 and even))
             if new <= cost:
                 cost = new
-                x[:], residual[:], J[:] = trial, trial_residual, trial_J
+                for i in range(n):
+                    x[i] = trial[i]
+                for k in range(N_HARMONICS):
+                    residual[k] = trial_residual[k]
+                    for i in range(n):
+                        J[k, i] = trial_J[k, i]
                 damping, growth = max(0.2 * damping, 1e-16), 2.0
                 if done:
                     return cost, True
@@ -183,7 +189,7 @@ def _descend(
     return cost, False
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _valley_floor(
     x: _Floats,
     observed: _Floats,
@@ -224,7 +230,7 @@ def _valley_floor(
     return slope
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _follow_valley(
     x: _Floats,
     observed: _Floats,
@@ -268,31 +274,37 @@ def _follow_valley(
             break
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _modulus_gain(J: _Floats, n: int, gain: _Floats) -> None:
     """Fill d ln E per relative error of each harmonic: the first row of the pseudo-inverse of J.
 
     The column of ln E is projected off the others twice instead of forming J^T J, which would square
     a condition that reaches 1e5.
     """
-    columns = np.zeros((_UNKNOWNS, N_HARMONICS))
+    columns = np.empty((_UNKNOWNS, N_HARMONICS))
     for position in range(n):
         v = columns[position]
-        v[:] = J[:, (position + 1) % n]  # ln E comes last
+        for i in range(N_HARMONICS):
+            v[i] = J[i, (position + 1) % n]  # ln E comes last
         for _ in range(2):
             for k in range(position):
-                v -= (columns[k] * v).sum() * columns[k]
-        if position < n - 1:
-            norm = math.sqrt((v * v).sum())
-            if norm > 0.0:
-                v /= norm
-    direction = columns[n - 1]
-    norm2 = (direction * direction).sum()
+                overlap = 0.0
+                for i in range(N_HARMONICS):
+                    overlap += columns[k, i] * v[i]
+                for i in range(N_HARMONICS):
+                    v[i] -= overlap * columns[k, i]
+        square = 0.0
+        for i in range(N_HARMONICS):
+            square += v[i] * v[i]
+        # Unit vectors for the others; for ln E, v/|v|^2, whose product with a residual is a change of ln E.
+        scale = math.sqrt(square) if position < n - 1 else square
+        for i in range(N_HARMONICS):
+            v[i] = v[i] / scale if square > 0.0 else (0.0 if position < n - 1 else math.inf)
     for i in range(N_HARMONICS):
-        gain[i] = direction[i] / norm2 if norm2 > 0.0 else math.inf
+        gain[i] = columns[n - 1, i]
 
 
-@njit(cache=True, nogil=True)
+@njit(**KERNEL)
 def fit_pixels(
     observed: _Floats,
     orders: npt.NDArray[np.int64],

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from numba import njit
 
 from overtone.contact.terms import LINEAR_TAIL, NO_ADHESION, linear_adhesion_harmonics, sphere_harmonics
+from overtone.kernels import KERNEL
 
 N_HARMONICS = 3
 """Harmonics a fit uses at once: as many as it has unknowns with adhesion."""
@@ -32,7 +33,7 @@ class Contact(NamedTuple):
     """sqrt(R) [m^0.5]."""
 
 
-@njit(cache=True, nogil=True)
+@njit(**KERNEL)
 def term_harmonics(
     contact: Contact, amplitude: float, Delta: float, orders: npt.NDArray[np.int64], work: _Floats
 ) -> None:
@@ -43,7 +44,7 @@ def term_harmonics(
         linear_adhesion_harmonics(amplitude, Delta, contact.a0, n_max, work[2], work[3])
 
 
-@njit(cache=True, nogil=True)
+@njit(**KERNEL)
 def stiffness(contact: Contact, modulus: float) -> tuple[float, float]:
     """Return Lambda [N/m^1.5] of a sample modulus and d ln Lambda / d ln E_s."""
     sample_compliance = contact.sample_factor / modulus
@@ -51,14 +52,14 @@ def stiffness(contact: Contact, modulus: float) -> tuple[float, float]:
     return 4.0 / 3.0 * E_star * contact.root_radius, sample_compliance * E_star
 
 
-@njit(cache=True, nogil=True)
+@njit(**KERNEL)
 def sample_modulus(contact: Contact, Lambda: float) -> float:
     """Return the sample modulus of a Lambda, the inverse of `stiffness`; infinite beyond the tip's own."""
     sample_compliance = 4.0 / 3.0 * contact.root_radius / Lambda - contact.tip_compliance
     return contact.sample_factor / sample_compliance if sample_compliance > 0.0 else math.inf
 
 
-@njit(cache=True, nogil=True)
+@njit(**KERNEL)
 def best_in_box(
     contact: Contact,
     aa: float,

@@ -23,6 +23,7 @@ from overtone.inversion.linear import (
     stiffness,
     term_harmonics,
 )
+from overtone.kernels import INNER, KERNEL
 
 CHI2_90 = 2.705543454095404
 CHI2_999 = 10.827566170662733
@@ -33,7 +34,7 @@ N_NODES = 120
 _Floats = npt.NDArray[np.float64]
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _at_indentation(
     log_indentation: float,
     observed: _Floats,
@@ -65,7 +66,7 @@ def _at_indentation(
     return Lambda, variance, max(chi2, 0.0)
 
 
-@njit(cache=True, nogil=True)
+@njit(**KERNEL)
 def modulus_range(
     observed: _Floats,
     whitening: _Floats,

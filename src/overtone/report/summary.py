@@ -124,7 +124,7 @@ def truth_table(properties: Mapping[str, xr.Dataset], truth: xr.Dataset, materia
         "Modulus by least squares, the published estimator",
         (
             "material",
-            "harmonics",
+            "from",
             "truth",
             "median",
             "16 .. 84 % of pixels",
@@ -162,5 +162,5 @@ def truth_properties_table(
                         _range(values, unit, 16, 84),
                     )
                 )
-    columns = ("property", "material", "harmonics", "truth", "median", "16 .. 84 % of pixels")
+    columns = ("property", "material", "from", "truth", "median", "16 .. 84 % of pixels")
     return Table("Adhesion and indentation by least squares", columns, tuple(rows))
