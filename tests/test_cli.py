@@ -226,7 +226,6 @@ def test_the_demo_writes_what_it_says(tmp_path: Path, capsys: pytest.CaptureFixt
     assert "Harmonics 1 2 3 determine the modulus of LDPE" in printed
     assert "Harmonics 1 2 3 do not determine the modulus of PS" in printed
     assert "cannot" in printed
-    assert "1.93 GPa" in printed
     result = load(tmp_path / "demo" / "results.nc")
     assert result.sizes["y"] == result.sizes["x"] == 128
     truth = result["modulus_truth"]
