@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 from overtone._version import __version__
 
 if TYPE_CHECKING:
+    from overtone.contact.models import force as force
+    from overtone.contact.models import force_harmonics as force_harmonics
     from overtone.contact.models import models as models
     from overtone.contact.models import sample as sample
     from overtone.dynamics.steady import hold_amplitude as hold_amplitude
@@ -29,6 +31,8 @@ if TYPE_CHECKING:
 # Public name to the module it lives in.
 _HOME = {
     "Probe": "probe",
+    "force": "contact.models",
+    "force_harmonics": "contact.models",
     "hold_amplitude": "dynamics.steady",
     "load": "io.netcdf",
     "load_probe": "probe",

@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from overtone.contact.models import contact_model, effective_modulus, models, sample
+from overtone.contact.models import contact_model, models, sample
+from overtone.contact.parameters import effective_modulus
 from overtone.errors import ContactModelError
 
 
@@ -41,10 +42,10 @@ def test_effective_modulus_is_eq_16() -> None:
             {"model": "dmt", "modulus": 1e9, "poisson_ratio": 0.3, "adhesion": -1.0},
             "adhesion is out of range",
         ),
-        ({"model": "hertz", "modulus": 1e9, "poisson_ratio": 0.6}, "Poisson"),
+        ({"model": "hertz", "modulus": 1e9, "poisson_ratio": 0.6}, "poisson_ratio is out"),
         ({"model": "dmt", "modulus": [1e9] * 3, "poisson_ratio": 0.3, "adhesion": [1e-9] * 2}, "shapes"),
         (
-            {"model": "hertz", "modulus": 1e9, "poisson_ratio": 0.3, "intermolecular_distance": 0.0},
+            {"model": "dmt", "modulus": 1e9, "poisson_ratio": 0.3, "adhesion": 1e-9, "intermolecular_distance": 0.0},
             "intermolecular_distance",
         ),
     ],
@@ -56,5 +57,5 @@ def test_wrong_parameters_are_named(arguments: dict[str, object], word: str) -> 
 
 def test_a_sample_broadcasts() -> None:
     blend = sample("dmt", modulus=np.full((3, 4), 1e9), poisson_ratio=0.3, adhesion=5e-9)
-    assert blend.adhesion.shape == (3, 4)
+    assert blend.values["adhesion"].shape == blend.shape == (3, 4)
     assert contact_model("dmt") is blend.model

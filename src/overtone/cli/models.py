@@ -14,10 +14,11 @@ def models() -> None:
     console = Console(highlight=False)
     for model in contact_models():
         console.print(f"[bold]{model.key}[/]  {escape(model.title)}")
-        finds = ", ".join([*(p.name for p in model.unknowns), "indentation"])
         rows = {
-            "finds": finds if model.invertible else "nothing yet: for simulation only",
+            "force": " + ".join(term.formula for term in model.terms),
+            "material": ", ".join(f"{p.name} [{p.unit}]" for p in model.unknowns),
             "needs": ", ".join(p.name for p in model.given if p.default is None),
+            "use": "simulation and inversion" if model.invertible else "force and harmonics only",
             "assumes": model.assumptions,
             "source": model.source,
         }

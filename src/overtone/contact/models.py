@@ -1,107 +1,232 @@
-"""Contact models as records in one registry: parameters, assumptions and source of each, written once."""
+"""Contact models as records in one registry: terms, parameters, assumptions and source, written once."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from overtone.contact import parameters as p
 from overtone.contact import terms
+from overtone.contact.blocks import Term, adhesion_term, hysteresis_term, power_term, viscous_term
+from overtone.contact.parameters import Parameter, Values, effective_modulus, resolve
 from overtone.errors import ContactModelError
 
 
 @dataclass(frozen=True)
-class Parameter:
-    """One parameter of a model: its unit, and the bounds between which an inversion looks for it."""
-
-    name: str
-    symbol: str
-    unit: str
-    meaning: str
-    lower: float
-    upper: float
-    default: float | None = None
-    """None where the user has to say."""
-
-
-MODULUS = Parameter("modulus", "E_s", "Pa", "elastic modulus of the sample", 1e4, 1e12)
-ADHESION = Parameter("adhesion", "F_ad", "N", "force of adhesion", 1e-12, 1e-6)
-RADIUS = Parameter("radius", "R", "m", "tip radius", 1e-10, 1e-4)
-POISSON = Parameter("poisson_ratio", "nu_s", "1", "Poisson's ratio of the sample", -1.0, 0.5)
-DISTANCE = Parameter(
-    "intermolecular_distance", "a_0", "m", "intermolecular distance", 1e-12, 1e-8, default=0.2e-9
-)
-
-
-@dataclass(frozen=True)
 class ContactModel:
-    """A law for the force between tip and sample, a sum of terms linear in its unknowns.
+    """A law for the force between tip and sample: a sum of terms.
 
     Parameters
     ----------
     key, title : str
         Name in calls and on the command line, and in words.
-    tail : int
-        Shape of the adhesive term, one of the constants of `overtone.contact.terms`.
+    terms : tuple of Term
+        Each linear in one material parameter once the indentation is given.
     unknowns : tuple of Parameter
         Material parameters an inversion looks for, next to the indentation.
     given : tuple of Parameter
         Parameters that have to be known.
-    invertible : bool
-        Whether its harmonics exist in closed form here; without, the model serves simulation only.
     assumptions : str
         What it takes for granted and where that fails.
     source : str
         Where the law comes from.
+    tail : int or None
+        For a paraboloid with adhesion: the shape of its adhesive term, a constant of
+        `overtone.contact.terms`. None for laws of another kind.
+    invertible : bool
+        Whether `overtone.map_properties` can look for its unknowns.
     """
 
     key: str
     title: str
-    tail: int
+    terms: tuple[Term, ...]
     unknowns: tuple[Parameter, ...]
     given: tuple[Parameter, ...]
-    invertible: bool
     assumptions: str
     source: str
+    tail: int | None = None
+    invertible: bool = False
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Every parameter of the model, unknowns first."""
+        return self.unknowns + self.given
 
 
+# --- coefficients -----------------------------------------------------------------------------------------------
+
+
+def _E_star(values: Values) -> npt.NDArray[np.float64]:
+    return effective_modulus(
+        *(values[k] for k in ("modulus", "poisson_ratio", "tip_modulus", "tip_poisson_ratio"))
+    )
+
+
+def _sphere(values: Values) -> Any:
+    return 4.0 / 3.0 * _E_star(values) * np.sqrt(values["radius"])
+
+
+def _sphere_viscosity(values: Values) -> Any:
+    return values["viscosity"] * np.sqrt(values["radius"])
+
+
+def _cone(values: Values) -> Any:
+    return 2.0 / math.pi * _E_star(values) * np.tan(values["half_angle"])
+
+
+def _punch(values: Values) -> Any:
+    return 2.0 * _E_star(values) * values["radius"]
+
+
+def _value(name: str) -> Any:
+    return lambda values: values[name]
+
+
+def _constant(number: float) -> Any:
+    return lambda values: number
+
+
+# --- terms ------------------------------------------------------------------------------------------------------
+
+_SPHERE = power_term("4/3 E* sqrt(R) (-d)^(3/2)", _sphere, _constant(1.5))
+_SPHERE_LOSS = viscous_term("-eta sqrt(R) (-d)^(1/2) d'", _sphere_viscosity, _constant(0.5))
+_SPRING = power_term("-k_s d", _value("stiffness"), _constant(1.0))
+_SPRING_LOSS = viscous_term("-c_s d'", _value("damping"), _constant(0.0))
+_CONTACT_ADHESION = adhesion_term("-F_ad in contact", terms.CONTACT_ONLY, _value("adhesion"))
+_LINEAR = adhesion_term("-F_ad max(0, 1 - d/(2 a_0))", terms.LINEAR_TAIL, _value("adhesion"))
+_VAN_DER_WAALS = adhesion_term("-F_ad (a_0/(a_0 + d))^2", terms.VAN_DER_WAALS_TAIL, _value("adhesion"))
+_NECK = hysteresis_term("-F_ad for 0 < d < d_c on retraction", _value("adhesion"), _value("rupture_distance"))
+
+_TIP = (p.RADIUS, p.POISSON_RATIO, p.TIP_MODULUS, p.TIP_POISSON_RATIO)
+_SOLID = (p.POISSON_RATIO, p.TIP_MODULUS, p.TIP_POISSON_RATIO)
 _PAPER = "Shaik, Reifenberger and Raman, Nanotechnology 31 (2020) 455502"
+_HERTZIAN = "Small strain, indentation well below the tip radius, elastic half-space."
+
 _MODELS = (
+    ContactModel(
+        key="kelvin-voigt",
+        title="Spring and dashpot in parallel",
+        terms=(_SPRING, _SPRING_LOSS),
+        unknowns=(p.STIFFNESS, p.DAMPING),
+        given=(p.FREQUENCY,),
+        assumptions="Stiffness independent of indentation; the dashpot pulls at the end of contact.",
+        source=f"{_PAPER}, fig. 2(a)",
+    ),
+    ContactModel(
+        key="kelvin-voigt-adhesion",
+        title="Spring and dashpot with a constant adhesion in contact",
+        terms=(_SPRING, _SPRING_LOSS, _CONTACT_ADHESION),
+        unknowns=(p.STIFFNESS, p.DAMPING, p.ADHESION),
+        given=(p.FREQUENCY,),
+        assumptions="As kelvin-voigt; adhesion without range, the same in and out.",
+        source=f"{_PAPER}, fig. 2(b)",
+    ),
     ContactModel(
         key="hertz",
         title="Hertz: paraboloid on an elastic half-space, no adhesion",
-        tail=terms.NO_ADHESION,
-        unknowns=(MODULUS,),
-        given=(RADIUS, POISSON),
-        invertible=True,
-        assumptions="Small strain, indentation well below the tip radius, no adhesion, no loss. Adhesion of "
-        "a few per cent of the peak force already biases the modulus.",
+        terms=(_SPHERE,),
+        unknowns=(p.MODULUS,),
+        given=_TIP,
+        assumptions=f"{_HERTZIAN} No loss. Adhesion of a few per cent of the peak force already biases the modulus.",
         source=f"{_PAPER}, fig. 2(c)",
+        tail=terms.NO_ADHESION,
+        invertible=True,
+    ),
+    ContactModel(
+        key="hertz-viscous",
+        title="Hertz with a Kelvin-Voigt contact",
+        terms=(_SPHERE, _SPHERE_LOSS),
+        unknowns=(p.MODULUS, p.VISCOSITY),
+        given=(*_TIP, p.FREQUENCY),
+        assumptions=f"{_HERTZIAN} Loss proportional to the contact radius and the speed; the force turns attractive "
+        "before contact ends, where a real contact would let go.",
+        source="Garcia and San Paulo, Phys. Rev. B 60 (1999) 4961, for the form of the loss",
+    ),
+    ContactModel(
+        key="dmt-contact",
+        title="DMT without attraction outside contact",
+        terms=(_SPHERE, _CONTACT_ADHESION),
+        unknowns=(p.MODULUS, p.ADHESION),
+        given=_TIP,
+        assumptions=f"{_HERTZIAN} Stiff and weakly adhesive (small Tabor parameter), no loss, no attraction "
+        "before contact.",
+        source=f"{_PAPER}, fig. 2(d)",
+        tail=terms.CONTACT_ONLY,
     ),
     ContactModel(
         key="dmt-linear",
         title="DMT with an attraction that falls linearly to zero at 2 a0",
-        tail=terms.LINEAR_TAIL,
-        unknowns=(MODULUS, ADHESION),
-        given=(RADIUS, POISSON, DISTANCE),
-        invertible=True,
-        assumptions="Hertz contact under constant adhesion (Tabor parameter below about 0.1; JKR is the "
-        "better limit for soft samples), no loss. The linear tail has the area of the van der Waals tail only "
-        "for a0 << A1; it costs 4 to 17 % of the modulus where adhesion is strong.",
+        terms=(_SPHERE, _LINEAR),
+        unknowns=(p.MODULUS, p.ADHESION),
+        given=(*_TIP, p.DISTANCE),
+        assumptions="Hertz contact under constant adhesion (Tabor parameter below about 0.1; JKR is the better limit "
+        "for soft samples), no loss. The linear tail has the area of the van der Waals tail only for a0 << A1; it "
+        "costs 4 to 17 % of the modulus where adhesion is strong.",
         source=f"{_PAPER}, eqs 17 and 19, with eq 19c corrected: gamma/beta in its first term reads gamma/(2 beta)",
+        tail=terms.LINEAR_TAIL,
+        invertible=True,
     ),
     ContactModel(
         key="dmt",
         title="DMT with the van der Waals attraction of a sphere",
-        tail=terms.VAN_DER_WAALS_TAIL,
-        unknowns=(MODULUS, ADHESION),
-        given=(RADIUS, POISSON, DISTANCE),
-        invertible=False,
+        terms=(_SPHERE, _VAN_DER_WAALS),
+        unknowns=(p.MODULUS, p.ADHESION),
+        given=(*_TIP, p.DISTANCE),
         assumptions="As dmt-linear, with the attraction (a0/(a0 + d))^2 outside contact.",
-        source=f"{_PAPER}, eq 15",
+        source=f"{_PAPER}, eq 15; its harmonics in closed form are derived in overtone.contact.terms",
+        tail=terms.VAN_DER_WAALS_TAIL,
+        invertible=True,
+    ),
+    ContactModel(
+        key="dmt-viscous",
+        title="DMT with van der Waals attraction and a Kelvin-Voigt contact",
+        terms=(_SPHERE, _VAN_DER_WAALS, _SPHERE_LOSS),
+        unknowns=(p.MODULUS, p.ADHESION, p.VISCOSITY),
+        given=(*_TIP, p.DISTANCE, p.FREQUENCY),
+        assumptions="As dmt, with the loss of hertz-viscous.",
+        source=f"{_PAPER}, eq 15, with the loss of Garcia and San Paulo, Phys. Rev. B 60 (1999) 4961",
+    ),
+    ContactModel(
+        key="cone",
+        title="Sneddon: cone on an elastic half-space",
+        terms=(power_term("2/pi E* tan(alpha) d^2", _cone, _constant(2.0)),),
+        unknowns=(p.MODULUS,),
+        given=(p.HALF_ANGLE, *_SOLID),
+        assumptions="Indentation well beyond the blunt end of the tip; half-angle not small; no adhesion, no loss.",
+        source="Sneddon, Int. J. Eng. Sci. 3 (1965) 47",
+    ),
+    ContactModel(
+        key="flat-punch",
+        title="Sneddon: flat cylindrical punch on an elastic half-space",
+        terms=(power_term("-2 E* R d", _punch, _constant(1.0)),),
+        unknowns=(p.MODULUS,),
+        given=(p.RADIUS, *_SOLID),
+        assumptions="Full and parallel contact at once; no adhesion, no loss.",
+        source="Sneddon, Int. J. Eng. Sci. 3 (1965) 47",
+    ),
+    ContactModel(
+        key="power",
+        title="Any power of the indentation",
+        terms=(power_term("C (-d)^p", _value("prefactor"), _value("exponent")),),
+        unknowns=(p.PREFACTOR,),
+        given=(p.EXPONENT,),
+        assumptions="A power law from the first touch on; p = 1 punch, 3/2 paraboloid, 2 cone.",
+        source="Sneddon, Int. J. Eng. Sci. 3 (1965) 47, for axisymmetric punches of power-law profile",
+    ),
+    ContactModel(
+        key="capillary",
+        title="Hertz with a neck that forms at contact and breaks on retraction",
+        terms=(_SPHERE, _CONTACT_ADHESION, _NECK),
+        unknowns=(p.MODULUS, p.ADHESION),
+        given=(*_TIP, p.RUPTURE),
+        assumptions=f"{_HERTZIAN} The force of the neck is constant from contact to rupture; it does not re-form while "
+        "the tip comes back from beyond its reach.",
+        source="Zitzler, Herminghaus and Mugele, Phys. Rev. B 66 (2002) 155436, for the constant-force neck",
     ),
 )
 _REGISTRY = {model.key: model for model in _MODELS}
@@ -109,7 +234,23 @@ _REGISTRY = {model.key: model for model in _MODELS}
 
 def models() -> tuple[ContactModel, ...]:
     """Return every contact model, simplest first."""
-    return _MODELS
+    return tuple(_REGISTRY.values())
+
+
+def register(model: ContactModel) -> None:
+    """Add a contact model of one's own.
+
+    Raises
+    ------
+    ContactModelError
+        If the key is taken or a parameter appears twice.
+    """
+    names = [parameter.name for parameter in model.parameters]
+    if model.key in _REGISTRY:
+        raise ContactModelError(f"there is a model {model.key!r} already", hint="another key")
+    if len(set(names)) != len(names):
+        raise ContactModelError(f"model {model.key!r} declares a parameter twice", got=", ".join(names))
+    _REGISTRY[model.key] = model
 
 
 def contact_model(key: str) -> ContactModel:
@@ -130,106 +271,154 @@ def contact_model(key: str) -> ContactModel:
     return _REGISTRY[key]
 
 
-def effective_modulus(
-    modulus: Any, poisson_ratio: float, tip_modulus: float, tip_poisson_ratio: float
-) -> npt.NDArray[np.float64]:
-    """Return E* of tip and sample [Pa], ``1/E* = (1-nu_t^2)/E_t + (1-nu_s^2)/E_s`` (eq 16).
+# --- evaluation -------------------------------------------------------------------------------------------------
+
+
+def force(model: str, gap: Any, velocity: Any = 0.0, **parameters: Any) -> npt.NDArray[np.float64]:
+    """Return the force between tip and sample, repulsion positive.
+
+    Parameters
+    ----------
+    model : str
+        Key of a contact model.
+    gap : array, any shape
+        Gap d [m], negative in contact.
+    velocity : array, broadcast against ``gap``
+        d(gap)/dt [m/s]; positive on retraction.
+    **parameters
+        Parameters of the model in SI units, broadcast against ``gap``.
+
+    Returns
+    -------
+    array
+        Force [N].
+
+    Raises
+    ------
+    ContactModelError
+        If a parameter is missing, unknown or out of range, or shapes do not fit.
 
     Examples
     --------
-    >>> float(round(effective_modulus(1e9, 0.3, 130e9, 0.3) / 1e9, 6))
-    1.090513
+    >>> float(round(1e9 * force("hertz", -2e-9, radius=10e-9, modulus=1e9, poisson_ratio=0.3), 3))
+    13.005
     """
-    sample = (1.0 - poisson_ratio**2) / np.asarray(modulus, dtype=float)
-    return np.asarray(1.0 / ((1.0 - tip_poisson_ratio**2) / tip_modulus + sample))
+    record = contact_model(model)
+    values = resolve(model, _without(record.parameters, "frequency"), parameters)
+    d, v = np.asarray(gap, dtype=float), np.asarray(velocity, dtype=float)
+    _check_shapes(values, gap=d, velocity=v)
+    return np.asarray(sum(term.law(values, d, v) for term in record.terms))
+
+
+def force_harmonics(
+    model: str, *, amplitude: Any, indentation: Any, n_max: int = 3, **parameters: Any
+) -> npt.NDArray[np.complex128]:
+    """Return the harmonics of the force on the motion ``d = -delta_max + A1 (1 + cos theta)``.
+
+    Parameters
+    ----------
+    model : str
+        Key of a contact model.
+    amplitude : array, any shape
+        A1 [m], positive.
+    indentation : array, broadcast
+        delta_max [m]; negative where the tip stays out of contact.
+    n_max : int
+        Highest harmonic.
+    **parameters
+        Parameters of the model in SI units, broadcast against ``amplitude``; ``frequency`` [Hz] only where
+        the model has a loss that depends on speed.
+
+    Returns
+    -------
+    array
+        ``CONS_n - i DISS_n`` [N], the broadcast shape with a last axis n = 0..n_max.
+
+    Raises
+    ------
+    ContactModelError
+        If a parameter is missing, unknown or out of range, or shapes do not fit.
+
+    Examples
+    --------
+    >>> f = force_harmonics("hertz", amplitude=40e-9, indentation=2e-9, radius=10e-9, modulus=1e9, poisson_ratio=0.3)
+    >>> [float(round(1e9 * x, 4)) for x in f.real]
+    [0.7727, -1.5325, 1.4943, -1.4321]
+    """
+    record = contact_model(model)
+    if n_max < 0:
+        raise ContactModelError("n_max is out of range", expected="0 or more", got=str(n_max))
+    values = resolve(model, record.parameters, parameters)
+    A, delta = np.asarray(amplitude, dtype=float), np.asarray(indentation, dtype=float)
+    if not np.all(np.isfinite(A) & (A > 0.0)) or not np.all(np.isfinite(delta)):
+        raise ContactModelError("amplitude and indentation must be finite, the amplitude positive")
+    _check_shapes(values, amplitude=A, indentation=delta)
+    parts = [term.harmonics(values, A, delta / (2.0 * A), n_max) for term in record.terms]
+    return np.asarray(sum(parts), dtype=complex)
+
+
+def _without(parameters: tuple[Parameter, ...], *names: str) -> tuple[Parameter, ...]:
+    return tuple(parameter for parameter in parameters if parameter.name not in names)
+
+
+def _check_shapes(values: Values, **arrays: npt.NDArray[np.float64]) -> None:
+    everything = {**values, **arrays}
+    try:
+        np.broadcast_shapes(*(array.shape for array in everything.values()))
+    except ValueError as error:
+        shapes = ", ".join(f"{name} {array.shape}" for name, array in everything.items() if array.shape)
+        raise ContactModelError("shapes do not fit", expected="arrays that broadcast", got=shapes) from error
+
+
+# --- samples ----------------------------------------------------------------------------------------------------
+
+_OF_THE_PROBE = ("radius", "tip_modulus", "tip_poisson_ratio", "frequency")
 
 
 @dataclass(frozen=True)
 class Sample:
-    """A material under a tip: a contact model with its parameters in SI units.
+    """A material: a contact model with the parameters that are the sample's own, in SI units.
 
     Parameters
     ----------
     model : ContactModel
         The force law.
-    modulus, adhesion : array, any one shape
-        Elastic modulus [Pa] and force of adhesion [N].
-    poisson_ratio : float
-        Poisson's ratio of the sample.
-    intermolecular_distance : float
-        a0 [m], range of the attraction.
+    values : mapping of str to array, all of one shape
+        Its parameters, without those of the probe (tip radius, modulus and Poisson's ratio, frequency).
     """
 
     model: ContactModel
-    modulus: npt.NDArray[np.float64]
-    adhesion: npt.NDArray[np.float64]
-    poisson_ratio: float
-    intermolecular_distance: float
+    values: Mapping[str, npt.NDArray[np.float64]]
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of the arrays."""
+        return next(iter(self.values.values())).shape
 
 
-def sample(
-    model: str,
-    *,
-    modulus: Any,
-    poisson_ratio: float,
-    adhesion: Any = None,
-    intermolecular_distance: float = 0.2e-9,
-) -> Sample:
+def sample(model: str, **parameters: Any) -> Sample:
     """Describe a material, or a map of them, by a contact model and its parameters.
 
     Parameters
     ----------
     model : str
         Key of a contact model.
-    modulus : array, any shape
-        Elastic modulus [Pa], positive.
-    poisson_ratio : float
-        Poisson's ratio; it has no default.
-    adhesion : array, broadcast against ``modulus``
-        Force of adhesion [N], not negative; required by the models that have it and refused by the rest.
-    intermolecular_distance : float
-        a0 [m].
+    **parameters
+        Parameters of the model in SI units that belong to the sample; arrays broadcast against each other.
 
     Raises
     ------
     ContactModelError
-        If a parameter is missing, not a finite number in its range, not one of the model's, or if the
-        shapes do not fit.
+        If a parameter is missing, unknown or out of range, or if shapes do not fit.
 
     Examples
     --------
-    >>> float(sample("dmt", modulus=2e9, poisson_ratio=0.35, adhesion=8e-9).modulus)
+    >>> float(sample("dmt", modulus=2e9, poisson_ratio=0.35, adhesion=8e-9).values["modulus"])
     2000000000.0
     """
     record = contact_model(model)
-    wants_adhesion = ADHESION in record.unknowns
-    if wants_adhesion != (adhesion is not None):
-        verb = "needs" if wants_adhesion else "has no"
-        raise ContactModelError(f"model {model!r} {verb} adhesion", got=f"adhesion={adhesion!r}")
-    E, F = np.asarray(modulus, dtype=float), np.asarray(0.0 if adhesion is None else adhesion, dtype=float)
-    if not (np.all(np.isfinite(E)) and np.all(E > 0)):
-        raise ContactModelError("modulus is out of range", expected="finite numbers > 0 Pa")
-    if not (np.all(np.isfinite(F)) and np.all(F >= 0)):
-        raise ContactModelError("adhesion is out of range", expected="finite numbers >= 0 N")
-    check_poisson_ratio(poisson_ratio)
-    if not (math.isfinite(intermolecular_distance) and intermolecular_distance > 0):
-        raise ContactModelError(
-            "intermolecular_distance is out of range", expected="> 0 m", got=str(intermolecular_distance)
-        )
-    try:
-        E, F = np.broadcast_arrays(E, F)
-    except ValueError as error:
-        raise ContactModelError(
-            "shapes do not fit",
-            expected="arrays that broadcast",
-            got=f"modulus {E.shape}, adhesion {F.shape}",
-        ) from error
-    return Sample(record, E, F, poisson_ratio, intermolecular_distance)
-
-
-def check_poisson_ratio(poisson_ratio: float) -> None:
-    """Refuse a Poisson's ratio outside (-1, 0.5]."""
-    if not (math.isfinite(poisson_ratio) and POISSON.lower < poisson_ratio <= POISSON.upper):
-        raise ContactModelError(
-            "Poisson's ratio is out of range", expected="-1 < nu <= 0.5", got=str(poisson_ratio)
-        )
+    own = _without(record.parameters, *_OF_THE_PROBE)
+    values = resolve(model, own, parameters)
+    _check_shapes(values)
+    arrays = np.broadcast_arrays(*values.values())
+    return Sample(record, dict(zip(values, arrays, strict=True)))

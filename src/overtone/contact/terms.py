@@ -25,7 +25,6 @@ VAN_DER_WAALS_TAIL = 2  # eq 15: (a0 / (a0 + d))^2
 CONTACT_ONLY = 3  # nothing outside contact
 
 _SERIES_LIMIT = 0.1
-_AGM_STEPS = 7
 _EXTRA_ORDERS = 20  # above the highest order wanted, where the downward recurrence starts from nothing
 _UPWARD_LIMIT = -1.1  # below this u1 the recurrence in n runs downwards
 _WIDE_POWER = 0.5
@@ -34,6 +33,20 @@ _SHORT_RAMP = 1e-3  # range of the attraction over the amplitude below which dif
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(10)
 
 _Floats = npt.NDArray[np.float64]
+
+
+def _series_coefficients(order: int, power: float, count: int = 18) -> list[float]:
+    """Return the coefficients of `_power_series` behind ``Delta^(p + 1/2)``."""
+    term = math.sqrt(math.pi) * 2.0**power * math.gamma(power + 1.0) / math.gamma(power + 1.5)
+    coefficients = []
+    for k in range(count):
+        coefficients.append(term)
+        term *= (0.5 - order + k) * (0.5 + order + k) / ((power + 1.5 + k) * (1.0 + k))
+    return coefficients
+
+
+# columns: K_0 and K_1 of the power 3/2, then of 1/2
+_SPHERE_SERIES = np.array([_series_coefficients(n, p) for p in (1.5, 0.5) for n in (0, 1)]).T.copy()
 
 
 # --- laws -------------------------------------------------------------------------------------------------------
@@ -98,12 +111,14 @@ def _weight(order: int) -> float:
 def _elliptic(m: float) -> tuple[float, float]:
     """Return the complete elliptic integrals K and E of parameter m < 1 (arithmetic-geometric mean)."""
     a, b, power, total = 1.0, math.sqrt(1.0 - m), 0.5, 0.5 * m
-    for _ in range(_AGM_STEPS):
+    while a - b > 1e-8 * a:  # the next step squares the difference
         c = 0.5 * (a - b)
         a, b = 0.5 * (a + b), math.sqrt(a * b)
         power *= 2.0
         total += power * c * c
-    K = math.pi / (2.0 * a)
+    c = 0.5 * (a - b)
+    total += 2.0 * power * c * c
+    K = math.pi / (a + b)
     return K, K * (1.0 - total)
 
 
@@ -156,12 +171,13 @@ def _sphere_start(Delta: float) -> tuple[float, float, float, float]:
     K_1 from K_0 by parts: ``(p + 1) K_1^p = p ((1 - u1^2) K_0^(p-1) - u1 K_0^p)``.
     """
     if Delta < _SERIES_LIMIT:
-        return (
-            _power_series(0, 1.5, Delta),
-            _power_series(1, 1.5, Delta),
-            _power_series(0, 0.5, Delta),
-            _power_series(1, 0.5, Delta),
-        )
+        K0, K1, root0, root1 = 0.0, 0.0, 0.0, 0.0
+        for k in range(_SPHERE_SERIES.shape[0] - 1, -1, -1):
+            K0 = K0 * Delta + _SPHERE_SERIES[k, 0]
+            K1 = K1 * Delta + _SPHERE_SERIES[k, 1]
+            root0 = root0 * Delta + _SPHERE_SERIES[k, 2]
+            root1 = root1 * Delta + _SPHERE_SERIES[k, 3]
+        return K0 * Delta * Delta, K1 * Delta * Delta, root0 * Delta, root1 * Delta
     u1 = 1.0 - 2.0 * Delta
     if Delta < 1.0:
         EK, EE = _elliptic(Delta)
@@ -235,7 +251,9 @@ def _power_integral(order: int, power: float, Delta: float) -> float:
 
 
 @njit(**KERNEL)
-def power_harmonics(amplitude: float, Delta: float, power: float, n_max: int, h: _Floats, dh: _Floats) -> None:
+def power_harmonics(
+    amplitude: float, Delta: float, power: float, n_max: int, h: _Floats, dh: _Floats
+) -> None:
     """Fill the harmonics of ``(-d)^p`` in contact and their derivative by Delta [m^p], any p >= 0.
 
     For p = 0 the derivative ``2 cos(n c1)/sin c1`` is infinite where contact begins (Delta = 0) and where it
@@ -332,7 +350,9 @@ def _ramp_integral(n: int, u2: float, c: float) -> float:
         return u2 * c - math.sin(c)
     if n == 1:
         return u2 * math.sin(c) - 0.5 * c - 0.25 * math.sin(2.0 * c)
-    return u2 * math.sin(n * c) / n - 0.5 * (math.sin((n - 1) * c) / (n - 1) + math.sin((n + 1) * c) / (n + 1))
+    return u2 * math.sin(n * c) / n - 0.5 * (
+        math.sin((n - 1) * c) / (n - 1) + math.sin((n + 1) * c) / (n + 1)
+    )
 
 
 @njit(**KERNEL)
@@ -345,7 +365,9 @@ def _short_ramp(n: int, Delta: float, ramp: float, c1: float, c2: float) -> tupl
     difference = min(max(Delta + 0.5 * ramp, 0.0), 1.0) - min(max(Delta, 0.0), 1.0)
     half_sum = math.sin(0.5 * (c1 + c2))
     width = 2.0 * math.asin(min(difference / half_sum, 1.0)) if half_sum > 0.5 * difference else c2 - c1
-    short = min(2.0 - 2.0 * Delta - ramp, 0.0)  # u2 - cos c2, not zero where the far turning point cuts the ramp
+    short = min(
+        2.0 - 2.0 * Delta - ramp, 0.0
+    )  # u2 - cos c2, not zero where the far turning point cuts the ramp
     total, slope = 0.0, 0.0
     for k in range(_NODES.shape[0]):
         back = width * 0.5 * (1.0 + _NODES[k])
@@ -455,3 +477,31 @@ def hysteresis_harmonics(
         scale = -0.5 * _weight(n) / n
         cons[n] = scale * 2.0 * math.cos(middle) * math.sin(half)
         diss[n] = scale * 2.0 * math.sin(middle) * math.sin(half)
+
+
+# --- blocks -----------------------------------------------------------------------------------------------------
+
+
+@njit(**KERNEL)
+def power_block(amplitude: _Floats, Delta: _Floats, power: _Floats, h: _Floats, dh: _Floats) -> None:
+    """Fill harmonics (point, n) of `power_harmonics` for every point."""
+    for i in range(amplitude.shape[0]):
+        power_harmonics(amplitude[i], Delta[i], power[i], h.shape[1] - 1, h[i], dh[i])
+
+
+@njit(**KERNEL)
+def adhesion_block(
+    tail: int, amplitude: _Floats, Delta: _Floats, a0: _Floats, h: _Floats, dh: _Floats
+) -> None:
+    """Fill harmonics (point, n) of `adhesion_harmonics` for every point."""
+    for i in range(amplitude.shape[0]):
+        adhesion_harmonics(tail, amplitude[i], Delta[i], a0[i], h.shape[1] - 1, h[i], dh[i])
+
+
+@njit(**KERNEL)
+def hysteresis_block(
+    amplitude: _Floats, Delta: _Floats, reach: _Floats, cons: _Floats, diss: _Floats
+) -> None:
+    """Fill harmonics (point, n) of `hysteresis_harmonics` for every point."""
+    for i in range(amplitude.shape[0]):
+        hysteresis_harmonics(amplitude[i], Delta[i], reach[i], cons.shape[1] - 1, cons[i], diss[i])

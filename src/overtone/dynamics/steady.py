@@ -19,12 +19,14 @@ from numba import njit
 
 from overtone import provenance
 from overtone.blocks import run_blocks
-from overtone.contact.models import Sample, effective_modulus
+from overtone.contact.models import Sample
+from overtone.contact.parameters import effective_modulus
 from overtone.contact.terms import (
+    CONTACT_ONLY,
     LINEAR_TAIL,
     NO_ADHESION,
+    adhesion_harmonics,
     adhesion_shape,
-    linear_adhesion_harmonics,
     sphere_force,
     sphere_harmonics,
 )
@@ -145,7 +147,7 @@ def _force_harmonics(
                 weight = _CONTACT_WEIGHTS[k] * abs(reach) * s
                 theta = start - reach * s * s
                 _add_sample(theta, weight, g, amplitude, b, tail, Lambda, adhesion, a0, f)
-        if adhesion == 0.0 or start == far:
+        if adhesion == 0.0 or tail == CONTACT_ONLY or start == far:
             continue
         end = far
         if tail == LINEAR_TAIL:
@@ -184,15 +186,12 @@ def _first_guess(
     drive_force: float,
     work: _Floats,
 ) -> tuple[float, float]:
-    """Return ``|A1/G - f_1| - F_dr`` and its slope by indentation from the closed form of a bare cosine.
-
-    Any tail counts as the linear one of equal area: near enough to bracket a state and to steer towards it.
-    """
+    """Return ``|A1/G - f_1| - F_dr`` and its slope by indentation from the closed form of a bare cosine."""
     Delta = indentation / (2.0 * amplitude)
     sphere_harmonics(amplitude, Delta, 1, work[0], work[1])
     force, change = Lambda * work[0, 1], Lambda * work[1, 1]
     if tail != NO_ADHESION:
-        linear_adhesion_harmonics(amplitude, Delta, a0, 1, work[2], work[3])
+        adhesion_harmonics(tail, amplitude, Delta, a0, 1, work[2], work[3])
         force += adhesion * work[2, 1]
         change += adhesion * work[3, 1]
     balance = amplitude / receptance - force
@@ -262,7 +261,7 @@ def _hold_block(
     tail: int,
     Lambda: _Floats,
     adhesion: _Floats,
-    a0: float,
+    a0: _Floats,
     receptance: _Complex,
     drive_force: float,
     force: _Complex,
@@ -272,7 +271,7 @@ def _hold_block(
 ) -> None:
     for pixel in range(Lambda.shape[0]):
         gap[pixel], indentation[pixel], status[pixel] = _hold(
-            amplitude, tail, Lambda[pixel], adhesion[pixel], a0, receptance, drive_force, force[pixel]
+            amplitude, tail, Lambda[pixel], adhesion[pixel], a0[pixel], receptance, drive_force, force[pixel]
         )
 
 
@@ -326,13 +325,16 @@ def hold_amplitude(
     if not 0.0 < setpoint < 1.0:
         raise OvertoneError("the set-point is out of reach", expected="0 < A1/A1far < 1", got=str(setpoint))
     radius = required_radius(probe)
-    shape = sample.modulus.shape
+    tail = _tail(sample)
+    shape = sample.shape
     dims = dims or (("y", "x") if len(shape) == 2 else tuple(f"dim_{i}" for i in range(len(shape))))
     E_star = effective_modulus(
-        sample.modulus, sample.poisson_ratio, probe.tip.modulus, probe.tip.poisson_ratio
+        sample.values["modulus"], sample.values["poisson_ratio"], probe.tip.modulus, probe.tip.poisson_ratio
     )
     Lambda = np.ascontiguousarray((4.0 / 3.0 * E_star * math.sqrt(radius)).ravel())
-    adhesion = np.ascontiguousarray(sample.adhesion.ravel())
+    none = np.zeros(shape)
+    adhesion = np.ascontiguousarray(sample.values.get("adhesion", none).ravel())
+    a0 = np.ascontiguousarray(sample.values.get("intermolecular_distance", none + 1.0).ravel())
     amplitude = setpoint * probe.drive.free_amplitude
     receptance = tip_receptance(probe.cantilever, np.arange(n_max + 1) * probe.drive.frequency)
     drive_force = probe.drive.free_amplitude / abs(receptance[1])
@@ -344,10 +346,10 @@ def hold_amplitude(
     def run(block: slice) -> None:
         _hold_block(
             amplitude,
-            sample.model.tail,
+            tail,
             Lambda[block],
             adhesion[block],
-            sample.intermolecular_distance,
+            a0[block],
             receptance,
             drive_force,
             force[block],
@@ -383,6 +385,17 @@ def hold_amplitude(
         setpoint=setpoint,
         n_max=n_max,
     )
+
+
+def _tail(sample: Sample) -> int:
+    """Return the adhesive tail of a sample that the solver knows."""
+    if sample.model.tail is None:
+        raise OvertoneError(
+            f"steady states of model {sample.model.key!r} are not available",
+            expected="a conservative paraboloid: hertz, dmt-contact, dmt-linear or dmt",
+            hint="the conservative model nearest to it",
+        )
+    return sample.model.tail
 
 
 def required_radius(probe: Probe) -> float:

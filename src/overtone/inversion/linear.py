@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from overtone.contact.terms import LINEAR_TAIL, NO_ADHESION, linear_adhesion_harmonics, sphere_harmonics
+from overtone.contact.terms import NO_ADHESION, adhesion_harmonics, sphere_harmonics
 from overtone.kernels import KERNEL
 
 N_HARMONICS = 3
@@ -40,8 +40,8 @@ def term_harmonics(
     """Fill rows of ``work``: harmonics of the elastic and the adhesive term, each with its d/dDelta."""
     n_max = orders[N_HARMONICS - 1]
     sphere_harmonics(amplitude, Delta, n_max, work[0], work[1])
-    if contact.tail == LINEAR_TAIL:
-        linear_adhesion_harmonics(amplitude, Delta, contact.a0, n_max, work[2], work[3])
+    if contact.tail != NO_ADHESION:
+        adhesion_harmonics(contact.tail, amplitude, Delta, contact.a0, n_max, work[2], work[3])
 
 
 @njit(**KERNEL)

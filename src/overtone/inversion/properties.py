@@ -11,7 +11,8 @@ import xarray as xr
 
 from overtone import provenance
 from overtone.blocks import run_blocks
-from overtone.contact.models import check_poisson_ratio, contact_model
+from overtone.contact.models import contact_model, models
+from overtone.contact.parameters import DISTANCE, POISSON_RATIO
 from overtone.dynamics.steady import required_radius
 from overtone.errors import InversionError
 from overtone.harmonics import UNDETERMINED, energy, far_phase, read_receptance, regime, to_force_harmonics
@@ -112,11 +113,14 @@ def map_properties(
     if method not in METHODS:
         raise InversionError("unknown method", expected=", ".join(METHODS), got=repr(method))
     record = contact_model(model)
-    if not record.invertible:
+    if not record.invertible or record.tail is None:
         raise InversionError(
-            f"model {model!r} serves simulation only", hint="dmt-linear, its invertible neighbour"
+            f"model {model!r} cannot be inverted",
+            expected=", ".join(m.key for m in models() if m.invertible),
+            hint="the one of these nearest to it",
         )
-    check_poisson_ratio(poisson_ratio)
+    POISSON_RATIO.check(poisson_ratio)
+    DISTANCE.check(intermolecular_distance)
     radius = required_radius(probe)
     orders = tuple(harmonics)
     if orders not in HARMONIC_SETS:
