@@ -45,7 +45,13 @@ def test_effective_modulus_is_eq_16() -> None:
         ({"model": "hertz", "modulus": 1e9, "poisson_ratio": 0.6}, "poisson_ratio is out"),
         ({"model": "dmt", "modulus": [1e9] * 3, "poisson_ratio": 0.3, "adhesion": [1e-9] * 2}, "shapes"),
         (
-            {"model": "dmt", "modulus": 1e9, "poisson_ratio": 0.3, "adhesion": 1e-9, "intermolecular_distance": 0.0},
+            {
+                "model": "dmt",
+                "modulus": 1e9,
+                "poisson_ratio": 0.3,
+                "adhesion": 1e-9,
+                "intermolecular_distance": 0.0,
+            },
             "intermolecular_distance",
         ),
     ],

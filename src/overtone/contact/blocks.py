@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from overtone.contact import terms
 from overtone.contact.parameters import Values
+from overtone.errors import ContactModelError
 
 _Floats = npt.NDArray[np.float64]
 _Complex = npt.NDArray[np.complex128]
@@ -110,6 +111,17 @@ def adhesion_term(formula: str, tail: int, coefficient: Coefficient) -> Term:
         terms.adhesion_block(tail, A, D, reach, h, dh)
         result = np.asarray(coefficient(values))[..., None] * h.reshape(*shape, n_max + 1)
         return np.asarray(result, dtype=complex)
+
+    return Term(formula, law, harmonics)
+
+
+def history_term(
+    formula: str, harmonics: Callable[[Values, _Floats, _Floats, int], _Complex], hint: str
+) -> Term:
+    """Return a force that depends on the whole indentation so far: harmonics, but no law of gap and velocity."""
+
+    def law(values: Values, gap: _Floats, velocity: _Floats) -> _Floats:
+        raise ContactModelError("this force depends on its history, not on gap and velocity alone", hint=hint)
 
     return Term(formula, law, harmonics)
 

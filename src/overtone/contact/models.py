@@ -12,8 +12,18 @@ import numpy.typing as npt
 
 from overtone.contact import parameters as p
 from overtone.contact import terms
-from overtone.contact.blocks import Term, adhesion_term, hysteresis_term, power_term, viscous_term
+from overtone.contact.blocks import (
+    Term,
+    adhesion_term,
+    history_term,
+    hysteresis_term,
+    power_term,
+    viscous_term,
+)
+from overtone.contact.motion import harmonics_on_motion
 from overtone.contact.parameters import Parameter, Values, effective_modulus, resolve
+from overtone.contact.relaxation import sls_harmonics
+from overtone.contact.thin_layer import layer_coefficients
 from overtone.errors import ContactModelError
 
 
@@ -81,6 +91,35 @@ def _cone(values: Values) -> Any:
 
 def _punch(values: Values) -> Any:
     return 2.0 * _E_star(values) * values["radius"]
+
+
+def _layer(order: int) -> Any:
+    """Return the coefficient of (-d)^((3 + order)/2) of a bonded layer; the tip counts as rigid."""
+
+    def coefficient(values: Values) -> Any:
+        ratio, where = np.unique(values["poisson_ratio"], return_inverse=True)
+        series = np.array([layer_coefficients(float(nu))[order] for nu in ratio])[where]
+        plane = values["modulus"] / (1.0 - values["poisson_ratio"] ** 2)
+        scale = np.sqrt(values["radius"]) ** (order + 1) / values["thickness"] ** order
+        return 4.0 / 3.0 * plane * scale * series.reshape(values["poisson_ratio"].shape)
+
+    return coefficient
+
+
+def _relaxing_sphere(
+    values: Values, amplitude: npt.NDArray[np.float64], Delta: npt.NDArray[np.float64], n_max: int
+) -> npt.NDArray[np.complex128]:
+    plane = 1.0 / (1.0 - values["poisson_ratio"] ** 2)
+    return sls_harmonics(
+        amplitude,
+        2.0 * amplitude * Delta,
+        n_max,
+        frequency=values["frequency"],
+        radius=values["radius"],
+        effective_modulus=values["modulus"] * plane,
+        instantaneous_modulus=values["instantaneous_modulus"] * plane,
+        relaxation_time=values["relaxation_time"],
+    )
 
 
 def _value(name: str) -> Any:
@@ -219,6 +258,37 @@ _MODELS = (
         source="Sneddon, Int. J. Eng. Sci. 3 (1965) 47, for axisymmetric punches of power-law profile",
     ),
     ContactModel(
+        key="thin-layer",
+        title="Paraboloid on a thin layer bonded to a rigid substrate",
+        terms=tuple(
+            power_term(f"layer term of (-d)^({3 + order}/2)", _layer(order), _constant(1.5 + 0.5 * order))
+            for order in range(5)
+        ),
+        unknowns=(p.MODULUS,),
+        given=(p.RADIUS, p.POISSON_RATIO, p.THICKNESS),
+        assumptions="Rigid tip and substrate, perfect bond, no friction, no adhesion, no loss. The series in "
+        "chi = sqrt(R delta)/h is right to 1 % up to chi = 0.45 and to 5 % up to 0.65; at 1 it is 10 to 23 % too "
+        "large.",
+        source="derived again in docs/thin-layer.md; Dimitriadis et al., Biophys. J. 82 (2002) 2798, and Garcia and "
+        "Garcia, Biophys. J. 114 (2018) 2923, disagree on some of its numbers",
+    ),
+    ContactModel(
+        key="sls",
+        title="Paraboloid on a standard linear solid",
+        terms=(
+            history_term(
+                "Lee-Radok in, Ting out, E(t) = E_s + (E_0 - E_s) exp(-t/tau)",
+                _relaxing_sphere,
+                "force_harmonics, or sls_force_history of overtone.contact.relaxation",
+            ),
+        ),
+        unknowns=(p.MODULUS, p.INSTANTANEOUS_MODULUS, p.RELAXATION_TIME),
+        given=(p.RADIUS, p.POISSON_RATIO, p.FREQUENCY),
+        assumptions="Rigid tip, no adhesion, intermittent contact only, and a surface that has recovered before the "
+        "next tap: sls_residual of overtone.contact.relaxation gives the dent that is left.",
+        source="Lee and Radok, J. Appl. Mech. 27 (1960) 438; Ting, J. Appl. Mech. 33 (1966) 845",
+    ),
+    ContactModel(
         key="capillary",
         title="Hertz with a neck that forms at contact and breaks on retraction",
         terms=(_SPHERE, _CONTACT_ADHESION, _NECK),
@@ -311,7 +381,13 @@ def force(model: str, gap: Any, velocity: Any = 0.0, **parameters: Any) -> npt.N
 
 
 def force_harmonics(
-    model: str, *, amplitude: Any, indentation: Any, n_max: int = 3, **parameters: Any
+    model: str,
+    *,
+    amplitude: Any,
+    indentation: Any,
+    n_max: int = 3,
+    higher: Any = None,
+    **parameters: Any,
 ) -> npt.NDArray[np.complex128]:
     """Return the harmonics of the force on the motion ``d = -delta_max + A1 (1 + cos theta)``.
 
@@ -325,6 +401,10 @@ def force_harmonics(
         delta_max [m]; negative where the tip stays out of contact.
     n_max : int
         Highest harmonic.
+    higher : array, optional
+        Harmonics of the motion beyond eq 10: ``b_n = A_n exp(i (n phi1 - phi_n))`` [m], complex, last axis
+        n = 2, 3, ..., broadcast in front. ``indentation`` then is the one at theta = pi,
+        ``A1 - Z - A0 - sum (-1)^n A_n cos(n phi1 - phi_n)``. By quadrature instead of the closed form.
     **parameters
         Parameters of the model in SI units, broadcast against ``amplitude``; ``frequency`` [Hz] only where
         the model has a loss that depends on speed.
@@ -353,8 +433,36 @@ def force_harmonics(
     if not np.all(np.isfinite(A) & (A > 0.0)) or not np.all(np.isfinite(delta)):
         raise ContactModelError("amplitude and indentation must be finite, the amplitude positive")
     _check_shapes(values, amplitude=A, indentation=delta)
+    if higher is not None:
+        return _on_motion(record, values, A, delta, np.asarray(higher, dtype=complex), n_max)
     parts = [term.harmonics(values, A, delta / (2.0 * A), n_max) for term in record.terms]
     return np.asarray(sum(parts), dtype=complex)
+
+
+def _on_motion(
+    record: ContactModel,
+    values: Values,
+    amplitude: npt.NDArray[np.float64],
+    indentation: npt.NDArray[np.float64],
+    higher: npt.NDArray[np.complex128],
+    n_max: int,
+) -> npt.NDArray[np.complex128]:
+    """Return the harmonics on a motion with higher harmonics, point by point along one axis."""
+    shapes = [amplitude.shape, indentation.shape, higher.shape[:-1], *(v.shape for v in values.values())]
+    shape = np.broadcast_shapes(*shapes)
+    flat = {name: np.broadcast_to(value, shape).reshape(-1, 1) for name, value in values.items()}
+    A, delta = (np.broadcast_to(array, shape).ravel() for array in (amplitude, indentation))
+    b = np.broadcast_to(higher, (*shape, higher.shape[-1])).reshape(-1, higher.shape[-1])
+    # the ends of the linear tail and of a neck, where they differ between points the smallest serves as a cut
+    kinks = [2.0 * flat["intermolecular_distance"].min()] if "intermolecular_distance" in flat else []
+    kinks += [flat["rupture_distance"].min()] if "rupture_distance" in flat else []
+
+    def law(gap: npt.NDArray[np.float64], velocity: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        return np.asarray(sum(term.law(flat, gap, velocity) for term in record.terms))
+
+    frequency = float(np.max(values.get("frequency", np.asarray(1.0))))
+    result = harmonics_on_motion(law, A, delta, b, n_max, frequency, tuple(kinks))
+    return result.reshape(*shape, n_max + 1)
 
 
 def _without(parameters: tuple[Parameter, ...], *names: str) -> tuple[Parameter, ...]:

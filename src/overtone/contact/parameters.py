@@ -94,6 +94,10 @@ HALF_ANGLE = Parameter(
 )
 THICKNESS = Parameter("thickness", "h", "m", "thickness of the layer", 1e-10, 1e-2)
 RUPTURE = Parameter("rupture_distance", "d_c", "m", "gap at which the neck breaks", 1e-11, 1e-6)
+INSTANTANEOUS_MODULUS = Parameter(
+    "instantaneous_modulus", "E_0", "Pa", "modulus of the sample at once, not below modulus", 1e4, 1e12
+)
+RELAXATION_TIME = Parameter("relaxation_time", "tau", "s", "stress relaxation time of the sample", 1e-12, 1e3)
 FREQUENCY = Parameter("frequency", "f", "Hz", "frequency of the motion", 1.0, 1e9)
 
 
