@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 from scipy.optimize import least_squares as scipy_least_squares
+from scipy.special import gamma, hyp2f1
 
+from overtone.blocks import run_blocks
 from overtone.contact import terms
 from overtone.contact.models import sample
 from overtone.demo import demo_probe, virtual_scan
@@ -44,7 +46,9 @@ def test_our_kernel(benchmark: Any, scan: Any) -> None:
 @pytest.mark.benchmark(group="least squares, one start a pixel")
 def test_scipy_loop(benchmark: Any, scan: Any) -> None:
     """Sixteen pixels by scipy.optimize.least_squares on the same harmonics, at tight tolerances."""
-    force = to_force_harmonics(scan, demo_probe())["F_cons"].sel(harmonic=[0, 1, 2]).values.reshape(3, -1).T[:16]
+    force = (
+        to_force_harmonics(scan, demo_probe())["F_cons"].sel(harmonic=[0, 1, 2]).values.reshape(3, -1).T[:16]
+    )
     contact = Contact(terms.LINEAR_TAIL, 0.2e-9, (1 - 0.09) / 130e9, 1 - 0.35**2, 1e-4)
     h, dh, g, dg = (np.empty(3) for _ in range(4))
 
@@ -74,9 +78,7 @@ def test_scipy_loop(benchmark: Any, scan: Any) -> None:
 @pytest.mark.benchmark(group="whole map, three starts and the range of moduli")
 @pytest.mark.parametrize("harmonics", [(0, 1, 2), (1, 2, 3)])
 def test_map(benchmark: Any, scan: Any, harmonics: tuple[int, ...]) -> None:
-    benchmark(
-        map_properties, scan, demo_probe(), model="dmt-linear", poisson_ratio=0.35, harmonics=harmonics
-    )
+    benchmark(map_properties, scan, demo_probe(), model="dmt-linear", poisson_ratio=0.35, harmonics=harmonics)
     benchmark.extra_info["pixels per call"] = scan["A1"].size
 
 
@@ -100,6 +102,53 @@ def test_quadrature_by_scipy(benchmark: Any) -> None:
             quad(lambda t, n=n: terms.sphere_force(A * (u1 - math.cos(t)), 1.0) * math.cos(n * t), 0, math.pi)
 
     benchmark(both)
+
+
+N_POINTS = 200_000
+
+
+def _points() -> tuple[np.ndarray, np.ndarray]:
+    generator = np.random.default_rng(0)
+    return np.full(N_POINTS, 40e-9), 10.0 ** generator.uniform(-2.5, -0.1, N_POINTS)
+
+
+@pytest.mark.benchmark(group="harmonics 0 to 3 of dmt with derivative, 200,000 points")
+def test_dmt_kernels_on_two_threads(benchmark: Any) -> None:
+    A, Delta = _points()
+    power, a0 = np.full(N_POINTS, 1.5), np.full(N_POINTS, 0.2e-9)
+    h, dh, g, dg = (np.empty((N_POINTS, 4)) for _ in range(4))
+
+    def block(part: slice) -> None:
+        terms.power_block(A[part], Delta[part], power[part], h[part], dh[part])
+        terms.adhesion_block(terms.VAN_DER_WAALS_TAIL, A[part], Delta[part], a0[part], g[part], dg[part])
+
+    benchmark(run_blocks, block, N_POINTS, 8192)
+
+
+@pytest.mark.benchmark(group="harmonics 0 to 3 of dmt with derivative, 200,000 points")
+def test_dmt_by_scipy_special(benchmark: Any) -> None:
+    """Plain NumPy: the elastic part by hyp2f1, the tail by its recurrences; no derivative of the tail."""
+    A, Delta = _points()
+
+    def harmonics() -> list[np.ndarray]:
+        u1, c1 = 1 - 2 * Delta, np.arccos(1 - 2 * Delta)
+        out = []
+        for p in (1.5, 0.5):
+            front = math.sqrt(math.pi) * 2**p * gamma(p + 1) / gamma(p + 1.5) * Delta ** (p + 0.5)
+            out += [front * hyp2f1(0.5 - n, 0.5 + n, p + 1.5, Delta) for n in range(4)]
+        b = u1 + 0.2e-9 / A
+        root = np.sqrt((1 - b**2).astype(complex))
+        t1, kap = np.tan(c1 / 2), np.sqrt(((1 - b) / (1 + b)).astype(complex))
+        J0 = (np.log((t1 + kap) / (t1 - kap)) / root).real
+        J = [J0, b * J0 - (np.pi - c1)]
+        I = [(-np.sin(c1) / (b - np.cos(c1)) + b * J0) / (b**2 - 1)]
+        I.append(b * I[0] - J[0])
+        for n in range(1, 3):
+            J.append(2 * b * J[n] - J[n - 1] + 2 * np.sin(n * c1) / n)
+            I.append(2 * b * I[n] - I[n - 1] - 2 * J[n])
+        return out + I
+
+    benchmark.pedantic(harmonics, rounds=3, iterations=1)
 
 
 @pytest.mark.benchmark(group="steady states at fixed amplitude")

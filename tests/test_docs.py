@@ -7,15 +7,22 @@ from pathlib import Path
 import pytest
 
 import overtone as ot
+from overtone.contact.table import PAGE, markdown
 from overtone.quantities import known_quantities
 
 ROOT = Path(__file__).parents[1]
 
 
 def test_the_glossary_is_the_table_of_quantities() -> None:
-    rows = re.findall(r"^\| `(\w+)` \| (\S+) \| (\S+) \| (.+) \|$", (ROOT / "docs/glossary.md").read_text(), re.M)
+    rows = re.findall(
+        r"^\| `(\w+)` \| (\S+) \| (\S+) \| (.+) \|$", (ROOT / "docs/glossary.md").read_text(), re.M
+    )
     expected = {(q.name, q.symbol or "-", q.unit, q.meaning) for q in known_quantities()}
     assert set(rows) == expected
+
+
+def test_the_page_of_models_is_the_registry() -> None:
+    assert (ROOT / "docs/models.md").read_text(encoding="utf-8") == PAGE + markdown()
 
 
 def test_the_first_script_of_the_readme_runs(capsys: pytest.CaptureFixture[str]) -> None:

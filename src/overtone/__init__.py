@@ -10,10 +10,12 @@ from typing import TYPE_CHECKING, Any
 from overtone._version import __version__
 
 if TYPE_CHECKING:
+    from overtone.contact.models import Sample as Sample
     from overtone.contact.models import force as force
     from overtone.contact.models import force_harmonics as force_harmonics
     from overtone.contact.models import models as models
     from overtone.contact.models import sample as sample
+    from overtone.contact.validity import tabor_parameter as tabor_parameter
     from overtone.dynamics.steady import hold_amplitude as hold_amplitude
     from overtone.harmonics import to_force_harmonics as to_force_harmonics
     from overtone.harmonics import to_observables as to_observables
@@ -31,6 +33,7 @@ if TYPE_CHECKING:
 # Public name to the module it lives in.
 _HOME = {
     "Probe": "probe",
+    "Sample": "contact.models",
     "force": "contact.models",
     "force_harmonics": "contact.models",
     "hold_amplitude": "dynamics.steady",
@@ -45,6 +48,7 @@ _HOME = {
     "sample": "contact.models",
     "save": "io.netcdf",
     "save_probe": "probe",
+    "tabor_parameter": "contact.validity",
     "to_force_harmonics": "harmonics",
     "to_observables": "harmonics",
 }

@@ -31,6 +31,8 @@ class Parameter:
         Range outside which a value makes no sense.
     zero_allowed : bool
         Whether the minimum itself is allowed.
+    example : float
+        An ordinary value, for figures.
     """
 
     name: str
@@ -43,6 +45,7 @@ class Parameter:
     minimum: float = 0.0
     maximum: float = math.inf
     zero_allowed: bool = False
+    example: float = 1.0
 
     def check(self, value: Any) -> npt.NDArray[np.float64]:
         """Return the value as an array of floats, or say what is wrong with it.
@@ -69,36 +72,83 @@ class Parameter:
         return array
 
 
-MODULUS = Parameter("modulus", "E_s", "Pa", "elastic modulus of the sample", 1e4, 1e12)
-ADHESION = Parameter("adhesion", "F_ad", "N", "force of adhesion", 1e-12, 1e-6, zero_allowed=True)
-RADIUS = Parameter("radius", "R", "m", "radius of the tip or punch", 1e-10, 1e-4)
-POISSON_RATIO = Parameter(
-    "poisson_ratio", "nu_s", "1", "Poisson's ratio of the sample", -1.0, 0.5, minimum=-1.0, maximum=0.5
+MODULUS = Parameter("modulus", "E_s", "Pa", "elastic modulus of the sample", 1e4, 1e12, example=1e9)
+ADHESION = Parameter(
+    "adhesion", "F_ad", "N", "force of adhesion", 1e-12, 1e-6, zero_allowed=True, example=10e-9
 )
-TIP_MODULUS = Parameter("tip_modulus", "E_t", "Pa", "Young's modulus of the tip", 1e9, 1e13, default=130e9)
+RADIUS = Parameter("radius", "R", "m", "radius of the tip or punch", 1e-10, 1e-4, example=10e-9)
+POISSON_RATIO = Parameter(
+    "poisson_ratio",
+    "nu_s",
+    "1",
+    "Poisson's ratio of the sample",
+    -1.0,
+    0.5,
+    minimum=-1.0,
+    maximum=0.5,
+    example=0.35,
+)
+TIP_MODULUS = Parameter(
+    "tip_modulus", "E_t", "Pa", "Young's modulus of the tip", 1e9, 1e13, default=130e9, example=130e9
+)
 TIP_POISSON_RATIO = Parameter(
-    "tip_poisson_ratio", "nu_t", "1", "Poisson's ratio of the tip", -1.0, 0.5, 0.3, minimum=-1.0, maximum=0.5
+    "tip_poisson_ratio",
+    "nu_t",
+    "1",
+    "Poisson's ratio of the tip",
+    -1.0,
+    0.5,
+    0.3,
+    minimum=-1.0,
+    maximum=0.5,
+    example=0.3,
 )
 DISTANCE = Parameter(
-    "intermolecular_distance", "a_0", "m", "range of the attraction", 1e-12, 1e-8, default=0.2e-9
+    "intermolecular_distance",
+    "a_0",
+    "m",
+    "range of the attraction",
+    1e-12,
+    1e-8,
+    default=0.2e-9,
+    example=0.2e-9,
 )
-VISCOSITY = Parameter("viscosity", "eta", "Pa s", "viscosity of the contact", 1e-3, 1e6, zero_allowed=True)
-STIFFNESS = Parameter("stiffness", "k_s", "N/m", "stiffness of the sample", 1e-4, 1e5)
-DAMPING = Parameter("damping", "c_s", "N s/m", "damping of the sample", 1e-12, 1.0, zero_allowed=True)
+VISCOSITY = Parameter(
+    "viscosity", "eta", "Pa s", "viscosity of the contact", 1e-3, 1e6, zero_allowed=True, example=100.0
+)
+STIFFNESS = Parameter("stiffness", "k_s", "N/m", "stiffness of the sample", 1e-4, 1e5, example=5.0)
+DAMPING = Parameter(
+    "damping", "c_s", "N s/m", "damping of the sample", 1e-12, 1.0, zero_allowed=True, example=1e-6
+)
 EXPONENT = Parameter(
-    "exponent", "p", "1", "power of the indentation", 0.0, 10.0, maximum=10.0, zero_allowed=True
+    "exponent", "p", "1", "power of the indentation", 0.0, 10.0, maximum=10.0, zero_allowed=True, example=1.5
 )
-PREFACTOR = Parameter("prefactor", "C", "N/m^p", "force at unit indentation", 1e-6, 1e30)
+PREFACTOR = Parameter("prefactor", "C", "N/m^p", "force at unit indentation", 1e-6, 1e30, example=1e5)
 HALF_ANGLE = Parameter(
-    "half_angle", "alpha", "rad", "half-angle of the cone", 0.01, 1.56, maximum=math.radians(89.9)
+    "half_angle",
+    "alpha",
+    "rad",
+    "half-angle of the cone",
+    0.01,
+    1.56,
+    maximum=math.radians(89.9),
+    example=math.radians(20.0),
 )
-THICKNESS = Parameter("thickness", "h", "m", "thickness of the layer", 1e-10, 1e-2)
-RUPTURE = Parameter("rupture_distance", "d_c", "m", "gap at which the neck breaks", 1e-11, 1e-6)
+THICKNESS = Parameter("thickness", "h", "m", "thickness of the layer", 1e-10, 1e-2, example=50e-9)
+RUPTURE = Parameter("rupture_distance", "d_c", "m", "gap at which the neck breaks", 1e-11, 1e-6, example=2e-9)
 INSTANTANEOUS_MODULUS = Parameter(
-    "instantaneous_modulus", "E_0", "Pa", "modulus of the sample at once, not below modulus", 1e4, 1e12
+    "instantaneous_modulus",
+    "E_0",
+    "Pa",
+    "modulus of the sample at once, not below modulus",
+    1e4,
+    1e12,
+    example=3e9,
 )
-RELAXATION_TIME = Parameter("relaxation_time", "tau", "s", "stress relaxation time of the sample", 1e-12, 1e3)
-FREQUENCY = Parameter("frequency", "f", "Hz", "frequency of the motion", 1.0, 1e9)
+RELAXATION_TIME = Parameter(
+    "relaxation_time", "tau", "s", "stress relaxation time of the sample", 1e-12, 1e3, example=1e-6
+)
+FREQUENCY = Parameter("frequency", "f", "Hz", "frequency of the motion", 1.0, 1e9, example=160e3)
 
 
 def effective_modulus(

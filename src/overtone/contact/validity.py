@@ -56,7 +56,7 @@ def tabor_parameter(
 
     >>> [round(float(tabor_parameter(radius=10e-9, modulus=E, poisson_ratio=0.3, adhesion=F)), 2)
     ...  for E, F in ((1.93e9, 1.91e-9), (93.78e6, 16.24e-9))]
-    [0.64, 19.9]
+    [0.64, 19.89]
     """
     R, F, a0 = RADIUS.check(radius), ADHESION.check(adhesion), DISTANCE.check(intermolecular_distance)
     E_star = effective_modulus(modulus, poisson_ratio, tip_modulus, tip_poisson_ratio)
