@@ -193,7 +193,9 @@ def test_wrong_input_gets_a_clear_error_and_leaves_no_output(
     assert {path.name for path in work.iterdir()} == before
 
 
-@pytest.mark.parametrize("name", ["AR_20211011", "tono_whiskers", "AutexysEFM_0000", "DTMicroscope_scan_0001_DART"])
+@pytest.mark.parametrize(
+    "name", ["AR_20211011", "tono_whiskers", "AutexysEFM_0000", "DTMicroscope_scan_0001_DART"]
+)
 def test_inspect_real_files(name: str, afm_data: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("inspect", afm_data / "ibw" / f"{name}.ibw") == 0
     printed = flat(capsys.readouterr().out)
@@ -218,6 +220,25 @@ def test_models_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
     for key in ("hertz", "dmt-linear", "dmt"):
         assert key in printed
     assert "gamma/(2 beta)" in printed
+
+
+@pytest.mark.parametrize("key", ["dmt", "sls", "capillary"])
+def test_any_model_can_be_drawn(key: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    picture = tmp_path / "model.png"
+    assert run("models", key, "--plot", picture, "--set", "modulus=0.5 GPa") == 0
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert "assumes" in capsys.readouterr().out
+
+
+def test_models_say_which_adhesion_suits(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    contact = ["--set", "radius=10 nm", "--set", "poisson_ratio=0.3"]
+    assert run("models", "dmt", *contact, "--set", "modulus=93.78 MPa", "--set", "adhesion=16.24 nN") == 0
+    assert "Tabor parameter 20: JKR" in flat(capsys.readouterr().out)
+    assert run("models", "dmt", "--set", "modulus=1 nm") == 1
+    assert "does not fit" in flat(capsys.readouterr().err)
+    assert run("models", "--plot", tmp_path / "all.png") == 1
+    assert run("models", "dmt", "--plot", tmp_path / "dmt.txt") == 1
+    assert not list(tmp_path.iterdir())
 
 
 def test_the_demo_writes_what_it_says(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
