@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 _SHARED = Path(__file__).parents[2] / "shared"
@@ -27,6 +28,13 @@ def steady_states() -> list[dict[str, Any]]:
     return list(
         json.loads((_folder(_SHARED / "reference") / "steady_state_section3.json").read_text())["rows"]
     )
+
+
+@pytest.fixture(scope="session")
+def jkr_reference() -> np.ndarray:
+    """Return contact radius [m], penetration [m] and force [N] of a JKR contact, E* 1.0905 GPa, R 10 nm, 20 nN."""
+    path = _folder(_SHARED / "reference" / "jkr") / "jkr_Es1.09GPa_R10nm_Fad20nN.csv"
+    return np.loadtxt(path, delimiter=",").T * 1e-9
 
 
 @pytest.fixture(scope="session")

@@ -36,6 +36,7 @@ VALUES: dict[str, Any] = {
     "intermolecular_distance": 0.31e-9,
     "frequency": 87e3,
     "thickness": 60e-9,
+    "work_of_adhesion": 0.1,
 }
 
 
@@ -164,6 +165,30 @@ def test_a_neck_loses_its_force_times_its_reach() -> None:
         f = ot.force_harmonics("capillary", amplitude=30e-9, indentation=60e-9 * Delta, **given)
         lost = -math.pi * 30e-9 * f[1].imag
         assert lost == pytest.approx(6.3e-9 * min(2.7e-9, 60e-9 * (1 - Delta)), rel=1e-9)
+
+
+@pytest.mark.parametrize("key", ["jkr", "maugis"])
+@pytest.mark.parametrize("Delta", [0.02, 0.15, 0.6])
+def test_adhesive_models_against_a_sampled_tap(key: str, Delta: float) -> None:
+    """One tap through `ot.force`, its own velocity choosing the branch; a plain sum meets jumps to 1/N."""
+    given = parameters(contact_model(key))
+    amplitude = 30e-9
+    ours = ot.force_harmonics(key, amplitude=amplitude, indentation=2 * amplitude * Delta, n_max=6, **given)
+    theta = (np.arange(400_000) + 0.5) * 2 * math.pi / 400_000
+    gap = amplitude * (1 - 2 * Delta + np.cos(theta))
+    force = ot.force(key, gap, -np.sin(theta), **given)
+    sampled = np.exp(-1j * np.outer(np.arange(7), theta)) @ force * 2 / theta.size
+    sampled[0] /= 2
+    assert abs(ours - sampled).max() < 2e-5 * abs(ours).max()
+    assert -ours[1].imag > 0.0
+
+
+def test_jkr_reference_curve(jkr_reference: Any) -> None:
+    """Force against penetration of an independent solution, on the branch that a retraction follows."""
+    _, depth, force = jkr_reference
+    stable = slice(int(np.argmin(depth)) + 1, None)
+    ours = ot.force("jkr", -depth[stable], 1.0, modulus=1e9, poisson_ratio=0.3, radius=10e-9, adhesion=20e-9)
+    np.testing.assert_allclose(ours, force[stable], rtol=1e-6, atol=1e-15)
 
 
 def test_adhesion_to_zero_gives_hertz() -> None:

@@ -115,6 +115,22 @@ def adhesion_term(formula: str, tail: int, coefficient: Coefficient) -> Term:
     return Term(formula, law, harmonics)
 
 
+def branch_term(
+    formula: str,
+    force: Callable[[Values, _Floats, npt.NDArray[np.bool_]], _Floats],
+    harmonics: Callable[[Values, _Floats, _Floats, int], _Complex],
+) -> Term:
+    """Return a force with one branch for approach and another for retraction, ``force(values, gap, approaching)``.
+
+    A tip at rest counts as approaching.
+    """
+
+    def law(values: Values, gap: _Floats, velocity: _Floats) -> _Floats:
+        return np.asarray(force(values, gap, np.asarray(velocity <= 0.0)))
+
+    return Term(formula, law, harmonics)
+
+
 def history_term(
     formula: str, harmonics: Callable[[Values, _Floats, _Floats, int], _Complex], hint: str
 ) -> Term:

@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from overtone.contact import adhesive, terms
 from overtone.contact import parameters as p
-from overtone.contact import terms
 from overtone.contact.blocks import (
     Term,
     adhesion_term,
+    branch_term,
     history_term,
     hysteresis_term,
     power_term,
@@ -122,6 +123,37 @@ def _relaxing_sphere(
     )
 
 
+def _jkr(values: Values) -> dict[str, Any]:
+    work = values["adhesion"] / (1.5 * math.pi * values["radius"])
+    return {"effective_modulus": _E_star(values), "radius": values["radius"], "work_of_adhesion": work}
+
+
+def _jkr_force(values: Values, gap: Any, approaching: Any) -> Any:
+    return adhesive.jkr_force(-gap, approaching=approaching, **_jkr(values))
+
+
+def _jkr_harmonics(values: Values, amplitude: Any, Delta: Any, n_max: int) -> Any:
+    return adhesive.harmonics("jkr", amplitude, 2.0 * amplitude * Delta, n_max, **_jkr(values))
+
+
+def _maugis(values: Values) -> dict[str, Any]:
+    return {
+        "effective_modulus": _E_star(values),
+        "radius": values["radius"],
+        "work_of_adhesion": values["work_of_adhesion"],
+        # with this range the limit of hard samples is dmt-linear, whose tail ends at 2 a0
+        "range_of_attraction": 2.0 * values["intermolecular_distance"],
+    }
+
+
+def _maugis_force(values: Values, gap: Any, approaching: Any) -> Any:
+    return adhesive.maugis_force(-gap, approaching=approaching, **_maugis(values))
+
+
+def _maugis_harmonics(values: Values, amplitude: Any, Delta: Any, n_max: int) -> Any:
+    return adhesive.harmonics("maugis", amplitude, 2.0 * amplitude * Delta, n_max, **_maugis(values))
+
+
 def _value(name: str) -> Any:
     return lambda values: values[name]
 
@@ -146,7 +178,7 @@ _SOLID = (p.POISSON_RATIO, p.TIP_MODULUS, p.TIP_POISSON_RATIO)
 _PAPER = "Shaik, Reifenberger and Raman, Nanotechnology 31 (2020) 455502"
 _HERTZIAN = "Small strain, indentation well below the tip radius, elastic half-space."
 
-_MODELS = (
+BUILT_IN = (
     ContactModel(
         key="kelvin-voigt",
         title="Spring and dashpot in parallel",
@@ -273,6 +305,33 @@ _MODELS = (
         "Garcia, Biophys. J. 114 (2018) 2923, disagree on some of its numbers",
     ),
     ContactModel(
+        key="jkr",
+        title="JKR: adhesion inside the contact only, with its hysteresis",
+        terms=(
+            branch_term(
+                "JKR, F_ad = 3/2 pi w R",
+                _jkr_force,
+                _jkr_harmonics,
+            ),
+        ),
+        unknowns=(p.MODULUS, p.ADHESION),
+        given=_TIP,
+        assumptions="Soft and sticky samples (Tabor parameter above 5), small strain, quasi-static, gap imposed: "
+        "contact starts at d = 0 and ends where the neck becomes unstable. A neck that the motion never breaks loses nothing.",
+        source="Johnson, Kendall and Roberts, Proc. R. Soc. A 324 (1971) 301",
+    ),
+    ContactModel(
+        key="maugis",
+        title="Maugis-Dugdale: adhesion of finite range, between DMT and JKR",
+        terms=(branch_term("Maugis, w over a range of 2 a_0", _maugis_force, _maugis_harmonics),),
+        unknowns=(p.MODULUS, p.WORK_OF_ADHESION),
+        given=(*_TIP, p.DISTANCE),
+        assumptions="Constant adhesive stress over a range of 2 a0, so that hard samples give dmt-linear; small strain, "
+        "quasi-static, gap imposed. DMT is reached slowly: at a Maugis parameter of 0.1 a fifth of the adhesion is "
+        "still missing at a given indentation.",
+        source="Maugis, J. Colloid Interface Sci. 150 (1992) 243",
+    ),
+    ContactModel(
         key="sls",
         title="Paraboloid on a standard linear solid",
         terms=(
@@ -299,7 +358,7 @@ _MODELS = (
         source="Zitzler, Herminghaus and Mugele, Phys. Rev. B 66 (2002) 155436, for the constant-force neck",
     ),
 )
-_REGISTRY = {model.key: model for model in _MODELS}
+_REGISTRY = {model.key: model for model in BUILT_IN}
 
 
 def models() -> tuple[ContactModel, ...]:

@@ -135,6 +135,9 @@ HALF_ANGLE = Parameter(
     example=math.radians(20.0),
 )
 THICKNESS = Parameter("thickness", "h", "m", "thickness of the layer", 1e-10, 1e-2, example=50e-9)
+WORK_OF_ADHESION = Parameter(
+    "work_of_adhesion", "w", "J/m^2", "work of adhesion", 1e-5, 10.0, zero_allowed=True, example=0.1
+)
 RUPTURE = Parameter("rupture_distance", "d_c", "m", "gap at which the neck breaks", 1e-11, 1e-6, example=2e-9)
 INSTANTANEOUS_MODULUS = Parameter(
     "instantaneous_modulus",

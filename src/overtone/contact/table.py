@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from overtone.contact.models import ContactModel, models
+from overtone.contact.models import BUILT_IN, ContactModel
 
 
 def rows(model: ContactModel) -> dict[str, str]:
@@ -22,9 +22,9 @@ def rows(model: ContactModel) -> dict[str, str]:
 
 
 def markdown() -> str:
-    """Return every model as a section of a page."""
+    """Return every model of the package as a section of a page."""
     sections = []
-    for model in models():
+    for model in BUILT_IN:
         lines = [f"## `{model.key}`", "", f"{model.title}.", ""]
         lines += [f"- **{label}**: {text}" for label, text in rows(model).items()]
         sections.append("\n".join(lines))
