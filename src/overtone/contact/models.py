@@ -317,7 +317,8 @@ BUILT_IN = (
         unknowns=(p.MODULUS, p.ADHESION),
         given=_TIP,
         assumptions="Soft and sticky samples (Tabor parameter above 5), small strain, quasi-static, gap imposed: "
-        "contact starts at d = 0 and ends where the neck becomes unstable. A neck that the motion never breaks loses nothing.",
+        "contact starts at d = 0 and ends where the neck becomes unstable. A neck that the motion never breaks loses "
+        "nothing.",
         source="Johnson, Kendall and Roberts, Proc. R. Soc. A 324 (1971) 301",
     ),
     ContactModel(
@@ -326,8 +327,8 @@ BUILT_IN = (
         terms=(branch_term("Maugis, w over a range of 2 a_0", _maugis_force, _maugis_harmonics),),
         unknowns=(p.MODULUS, p.WORK_OF_ADHESION),
         given=(*_TIP, p.DISTANCE),
-        assumptions="Constant adhesive stress over a range of 2 a0, so that hard samples give dmt-linear; small strain, "
-        "quasi-static, gap imposed. DMT is reached slowly: at a Maugis parameter of 0.1 a fifth of the adhesion is "
+        assumptions="Constant adhesive stress over a range of 2 a0, so that hard samples give dmt-linear; small "
+        "strain, quasi-static, gap imposed. DMT is reached slowly: at a Maugis parameter of 0.1 a fifth of the adhesion is "
         "still missing at a given indentation.",
         source="Maugis, J. Colloid Interface Sci. 150 (1992) 243",
     ),
