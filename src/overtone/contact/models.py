@@ -328,8 +328,8 @@ BUILT_IN = (
         unknowns=(p.MODULUS, p.WORK_OF_ADHESION),
         given=(*_TIP, p.DISTANCE),
         assumptions="Constant adhesive stress over a range of 2 a0, so that hard samples give dmt-linear; small "
-        "strain, quasi-static, gap imposed. DMT is reached slowly: at a Maugis parameter of 0.1 a fifth of the adhesion is "
-        "still missing at a given indentation.",
+        "strain, quasi-static, gap imposed. DMT is reached slowly: at a Maugis parameter of 0.1 a fifth of the "
+        "adhesion is still missing at a given indentation.",
         source="Maugis, J. Colloid Interface Sci. 150 (1992) 243",
     ),
     ContactModel(

@@ -251,6 +251,18 @@ def _power_integral(order: int, power: float, Delta: float) -> float:
 
 
 @njit(**KERNEL)
+def _constant_integral(order: int, Delta: float) -> tuple[float, float]:
+    """Return ``int_0^c1 cos(n psi) dpsi`` and its derivative by Delta, infinite at Delta = 0 and 1."""
+    if Delta <= 0.0:
+        return 0.0, 0.0
+    if Delta > 1.0:
+        return (math.pi if order == 0 else 0.0), 0.0
+    c1 = contact_angle(Delta)
+    inside = c1 if order == 0 else (0.0 if Delta == 1.0 else math.sin(order * c1) / order)
+    return inside, 2.0 * math.cos(order * c1) / math.sin(c1)
+
+
+@njit(**KERNEL)
 def power_harmonics(
     amplitude: float, Delta: float, power: float, n_max: int, h: _Floats, dh: _Floats
 ) -> None:
@@ -266,10 +278,8 @@ def power_harmonics(
     if power == 1.5:
         sphere_integrals(Delta, n_max, h, dh)
     elif power == 0.0:
-        c1 = contact_angle(Delta)
         for n in range(n_max + 1):
-            h[n] = c1 if n == 0 else (0.0 if Delta >= 1.0 else math.sin(n * c1) / n)
-            dh[n] = 0.0 if Delta > 1.0 else 2.0 * math.cos(n * c1) / math.sin(c1)
+            h[n], dh[n] = _constant_integral(n, Delta)
     else:
         for n in range(n_max + 1):
             h[n] = _power_integral(n, power, Delta)
@@ -312,9 +322,9 @@ def adhesion_harmonics(
     if tail == VAN_DER_WAALS_TAIL:
         van_der_waals_harmonics(amplitude, Delta, a0, n_max, h, dh)
         return
-    power_harmonics(1.0, Delta, 0.0, n_max, h, dh)
     for n in range(n_max + 1):
-        h[n], dh[n] = -h[n], -dh[n]
+        inside, slope = _constant_integral(n, Delta)
+        h[n], dh[n] = -_weight(n) * inside, -_weight(n) * slope
 
 
 @njit(**KERNEL)
