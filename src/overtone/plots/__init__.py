@@ -1,0 +1,24 @@
+"""Figures of observables, forces, energies and properties: pictures only, no science.
+
+Figures are built without pyplot, so that they need no screen and may be drawn in threads. In every map row 0
+is at the top, light grey is missing data, and a grey hatched veil covers what the data do not determine.
+"""
+
+from overtone.plots.canvas import png_bytes
+from overtone.plots.categories import draw_flags
+from overtone.plots.figures import energy_figure, forces_figure, observables_figure, properties_figure
+from overtone.plots.histograms import histogram_figure
+from overtone.plots.maps import draw_map
+from overtone.plots.overview import overview_figure
+
+__all__ = [
+    "draw_flags",
+    "draw_map",
+    "energy_figure",
+    "forces_figure",
+    "histogram_figure",
+    "observables_figure",
+    "overview_figure",
+    "png_bytes",
+    "properties_figure",
+]

@@ -1,0 +1,90 @@
+"""The one picture that stands for a whole report."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from overtone.plots.categories import draw_flags
+from overtone.plots.maps import draw_map
+from overtone.plots.planes import ratio_of
+from overtone.plots.results import estimate_of, measured, undetermined
+from overtone.plots.scales import positive_limits, readable
+from overtone.plots.sheet import Sheet
+from overtone.report.content import Report
+from overtone.report.shares import flag_shares
+
+_COLUMNS = 4
+_COLUMN_WIDTH = 3.5
+
+
+def overview_figure(report: Report, label: str | None = None) -> Figure:
+    """Return one wide picture: what was measured, what was concluded, and how far it can be trusted.
+
+    Parameters
+    ----------
+    report : Report
+        What to show.
+    label : str, optional
+        Which property result; the one with most determined pixels where not given.
+    """
+    observables = report.observables
+    names = ["height" if "height" in observables else "A1", "A0" if "A0" in observables else "phi1", "A2"]
+    top: list[xr.DataArray] = [observables[name] for name in names if name in observables]
+    if report.truth is None or not report.properties:
+        spare = [name for name in measured(observables) if name not in names]
+        top += [observables[name] for name in spare[: _COLUMNS - len(top)]]
+    sheet = Sheet.new(2 * _COLUMNS, _COLUMNS, _COLUMN_WIDTH, ratio_of(top[0] if top else None))
+    for axes in sheet.cells:
+        axes.set_axis_off()
+    first, second = sheet.cells[:_COLUMNS], sheet.cells[_COLUMNS:]
+    for axes, array in zip(first, top, strict=False):
+        axes.set_axis_on()
+        draw_map(axes, array)
+    if report.properties:
+        chosen = label or max(report.properties, key=lambda key: _determined_share(report.properties[key]))
+        _draw_conclusions(first[-1], second, chosen, report.properties[chosen], report.truth)
+    else:
+        _draw_energies(second, report.energies)
+    return sheet.lay_out()
+
+
+def _draw_conclusions(
+    last: Axes, cells: list[Axes], label: str, properties: xr.Dataset, truth: xr.Dataset | None
+) -> None:
+    veil, estimate = undetermined(properties), estimate_of(properties, "modulus")
+    limits = None if estimate is None else positive_limits(readable(estimate.values, veil.values))
+    if truth is not None and "modulus" in truth:
+        # One scale for truth and estimate, so that colours compare.
+        limits = positive_limits(truth["modulus"].values) or limits
+        last.set_axis_on()
+        draw_map(last, truth["modulus"], title="modulus, truth", limits=limits)
+    if estimate is not None:
+        cells[0].set_axis_on()
+        draw_map(cells[0], estimate, title=f"modulus, {label}", undetermined=veil, limits=limits)
+    if {"modulus_lower", "modulus_upper"} <= set(properties):
+        cells[1].set_axis_on()
+        draw_map(cells[1], _range_width(properties), title="width of the 90 % range")
+    cells[2].set_axis_on()
+    draw_flags(cells[2], properties["status"], title="status", legend_axes=cells[3])
+
+
+def _draw_energies(cells: list[Axes], energies: xr.Dataset) -> None:
+    for axes, name in zip(cells, ("dissipation", "virial"), strict=False):
+        if name in energies:
+            axes.set_axis_on()
+            draw_map(axes, energies[name])
+    if "regime" in energies:
+        cells[2].set_axis_on()
+        draw_flags(cells[2], energies["regime"], legend_axes=cells[3])
+
+
+def _determined_share(properties: xr.Dataset) -> float:
+    return flag_shares(properties["status"]).get("determined", 0.0)
+
+
+def _range_width(properties: xr.Dataset) -> xr.DataArray:
+    ratio = properties["modulus_upper"] / properties["modulus_lower"]
+    return xr.DataArray(np.log10(ratio), name="range_width", attrs={"units": "decades"})
