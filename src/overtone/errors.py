@@ -3,6 +3,11 @@
 from __future__ import annotations
 
 
+def _closed(sentence: str) -> str:
+    """Return the sentence with a full stop, unless it ends with a mark of its own."""
+    return sentence if sentence.endswith((".", "?", "!")) else sentence + "."
+
+
 class OvertoneError(Exception):
     """Base class of every error raised by overtone on purpose.
 
@@ -25,9 +30,9 @@ class OvertoneError(Exception):
         parts = [f"expected {expected}" if expected else "", f"got {got}" if got else ""]
         detail = ", ".join(part for part in parts if part)
         message = f"{problem}: {detail}" if detail else problem
-        message = message.rstrip(".") + "."
+        message = _closed(message)
         if hint:
-            message += f" Try: {hint.rstrip('.')}."
+            message += f" Try: {_closed(hint)}"
         super().__init__(message)
 
 

@@ -242,7 +242,9 @@ def energy(force_harmonics: xr.Dataset, probe: Probe) -> xr.Dataset:
             compliance = complex(tip_receptance(probe.cantilever, n * probe.drive.frequency))
             # Im(f conj(G f)) = -Im(G) |f|^2: a passive lever has Im(G) < 0, so what the contact puts into
             # the higher harmonics comes back as heat in the lever and is not lost in the sample.
-            lost = lost + np.pi * n * compliance.imag * (part["F_cons"] ** 2 + part["F_diss"] ** 2)
+            share = np.pi * n * compliance.imag * (part["F_cons"] ** 2 + part["F_diss"] ** 2)
+            # a correction of a per cent: where that harmonic is lost, the first one still tells the energy
+            lost = lost + share.fillna(0.0)
     dims, coords = amplitude.dims, amplitude.coords
     virial = amplitude * first["F_cons"] / 2.0
     return xr.Dataset(

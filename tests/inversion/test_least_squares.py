@@ -200,6 +200,7 @@ def test_ranges_cover_the_truth_as_often_as_they_claim(
         np.array([CHI2_90]),
         low,
         high,
+        np.empty(count),
     )
     covered = (low[:, 0] <= math.log(modulus)) & (math.log(modulus) <= high[:, 0])
     assert 0.87 <= covered.mean() <= 0.97

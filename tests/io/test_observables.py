@@ -12,7 +12,6 @@ from overtone.demo import demo_probe, virtual_scan
 from overtone.errors import (
     ChannelError,
     ChannelWarning,
-    DistortionWarning,
     OvertoneError,
     OvertoneWarning,
     PhaseReferenceWarning,
@@ -24,7 +23,7 @@ from overtone.harmonics import far_phase
 from overtone.inversion.properties import NOT_DETERMINED, map_energy, map_properties
 from overtone.io.netcdf import save
 from overtone.io.observables import missing_for_modulus, open_scan
-from overtone.probe import Probe
+from overtone.probe import Cantilever, Detector, Drive, Mode, Probe
 from overtone.readings import probe_of, reading_of
 
 SNOM = "neasnom/SnO2_NW4_hyp"
@@ -133,11 +132,8 @@ def test_harmonics_without_unit_are_left_out(afm_data: Path) -> None:
 
 
 def test_a_second_harmonic_locked_to_the_first_proves_nothing(afm_data: Path) -> None:
-    with pytest.warns(DistortionWarning, match=r"constant to 0\.013 rad"), warnings.catch_warnings():
-        warnings.simplefilter("ignore", ChannelWarning)
-        scan = open_scan(
-            afm_data / SNOM, probe=snom_probe(), far_phase=1.57, scales={"M2A": 1e-9, "M3A": 1e-9}
-        )
+    scan = quietly(afm_data / SNOM, probe=snom_probe(), far_phase=1.57, scales={"M2A": 1e-9, "M3A": 1e-9})
+    assert "constant to 0.013 rad" in said(scan)
     forces = map_energy(scan, snom_probe())
     assert list(forces["harmonic"].values) == [1, 2, 3]
     single = 3 * 40.0 * float(scan["A2"].mean())
@@ -184,13 +180,18 @@ def write_table(folder: Path, scan: xr.Dataset, header: str = "") -> Path:
 
 def test_a_table_is_doubted_until_it_is_said_to_be_corrected(scan: xr.Dataset, tmp_path: Path) -> None:
     path = write_table(tmp_path, scan)
-    with pytest.warns(DistortionWarning, match="zero far from the surface is not known"):
-        doubted = open_scan(path, probe=demo_probe())
+    doubted = quietly(path, probe=demo_probe())
+    assert (
+        "DistortionWarning: A0 is as the file stores it: its zero far from the surface is not known"
+        in said(doubted)
+    )
+    assert "nothing in the file says that they are" in said(doubted)
     np.testing.assert_allclose(doubted["A0"], scan["A0"].values.ravel(), rtol=1e-12)
     np.testing.assert_allclose(doubted["phi2"], scan["phi2"].values.ravel(), rtol=1e-12)
     reading = reading_of(doubted)
     assert reading is not None
     assert 0 in reading.doubts
+    assert not reading.phase_established
     trusted = reading_of(open_scan(path, probe=demo_probe(), corrected=True))
     assert trusted is not None
     assert not trusted.doubts
@@ -217,8 +218,83 @@ def test_a_wrong_probe_is_noticed(scan: xr.Dataset, tmp_path: Path) -> None:
     small = Probe.simple(
         stiffness=16.4, frequency=161.8e3, quality_factor=287.0, drive_frequency=161.8e3, free_amplitude=20e-9
     )
-    with pytest.warns(UncalibratedWarning, match="more than the free amplitude"):
-        open_scan(path, probe=small, corrected=True)
+    wrong = quietly(path, probe=small, corrected=True)
+    assert "more than the free amplitude" in said(wrong)
+    assert "would give energy to the tip" in said(wrong)
+    assert (map_energy(wrong, small)["regime"] == 0).all()
+
+
+def test_an_optical_lever_needs_its_modes(afm_data: Path) -> None:
+    """Stating that the harmonics were corrected does not turn a slope into a displacement."""
+    scales = {"M2A": 1e-9, "M3A": 1e-9}
+    single = reading_of(
+        quietly(afm_data / SNOM, probe=snom_probe(), far_phase=1.57, scales=scales, corrected=True)
+    )
+    assert single is not None
+    assert set(single.doubts) == {2, 3}
+    assert "25 to 40 % low" in single.doubts[2]
+    modes = (
+        Mode(40.0, 237.595e3, 400.0),
+        Mode(1571.0, 1.489e6, 600.0, 3.473),
+    )
+    lever = Probe(Cantilever(modes, 38.8, 1.0897), Drive(237595.092, 123.6e-9), detector=Detector("slope"))
+    known = reading_of(quietly(afm_data / SNOM, probe=lever, far_phase=1.57, scales=scales, corrected=True))
+    assert known is not None
+    assert not known.doubts
+
+
+def test_a_probe_file_is_held_against_the_free_phase(afm_data: Path) -> None:
+    """The resonance that the file's own values reject is not made right by coming from a probe file."""
+    thermal = Probe.simple(
+        stiffness=27.952,
+        frequency=257190.3,
+        quality_factor=471.15,
+        drive_frequency=256976.8,
+        free_amplitude=33.272e-9,
+    )
+    scan = quietly(afm_data / "ibw" / "AR_20211011.ibw", probe=thermal)
+    assert "+18.8 deg off" in said(scan)
+    assert (map_energy(scan, thermal)["regime"] == 0).all()
+
+
+def test_other_readings_carry_the_shift_that_makes_the_free_lever_free(afm_data: Path) -> None:
+    """At its stored free-air values the lever feels no force, in the reading that is referred to them."""
+    reading = reading_of(quietly(afm_data / "ibw" / "AR_20211011.ibw"))
+    assert reading is not None
+    (thermal, none), (tune, shift) = reading.alternatives
+    assert none == 0.0
+    assert thermal.cantilever.modes[0].quality_factor == 471.15
+    free = xr.Dataset(
+        {"A1": ("point", [tune.drive.free_amplitude]), "phi1": ("point", [math.radians(70.714) + shift])}
+    )
+    force = map_energy(free, tune)
+    assert abs(float(force["F_cons"][0, 0])) < 1e-15
+    assert abs(float(force["F_diss"][0, 0])) < 1e-15
+
+
+def test_a_first_harmonic_without_unit_is_refused(scan: xr.Dataset, tmp_path: Path) -> None:
+    path = write_table(tmp_path, scan)
+    path.write_text(path.read_text().replace("A1 [pm]", "A1 [V]"))
+    with pytest.raises(ChannelError, match=r"A1 \(A1\) has the unit V instead of m"):
+        quietly(path, probe=demo_probe())
+
+
+def test_a_scale_for_a_channel_with_a_unit_is_refused(scan: xr.Dataset, tmp_path: Path) -> None:
+    with pytest.raises(ChannelError, match="has the unit m in the file"):
+        quietly(write_table(tmp_path, scan), probe=demo_probe(), scales={"A1": 1e-9})
+
+
+def test_an_empty_channel_is_not_a_measured_one(scan: xr.Dataset, tmp_path: Path) -> None:
+    path = write_table(tmp_path, scan.assign(A0=scan["A0"] * np.nan))
+    opened = quietly(path, probe=demo_probe(), corrected=True)
+    assert "A0" not in opened
+    assert "no pixel has a value: A0" in said(opened)
+
+
+def test_another_imaging_mode_is_no_tapping(afm_data: Path) -> None:
+    scan = quietly(afm_data / "ibw" / "DTMicroscope_scan_0001_DART.ibw", probe=snom_probe())
+    assert "the file says PFM Mode, not AC mode" in said(scan)
+    assert (map_energy(scan, snom_probe())["regime"] == 0).all()
 
 
 @pytest.mark.parametrize(

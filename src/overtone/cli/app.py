@@ -39,6 +39,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
         console = Console(stderr=True)
         console.print(f"[bold red]{type(error).__name__}[/]: {escape(str(error))}", soft_wrap=True)
         sys.exit(1)
+    except OSError as error:
+        Console(stderr=True).print(
+            f"[bold red]{type(error).__name__}[/]: {escape(str(error))}", soft_wrap=True
+        )
+        sys.exit(1)
     except KeyboardInterrupt:
-        Console(stderr=True).print("stopped; nothing was written")
+        Console(stderr=True).print("stopped; no file was left half written")
         sys.exit(130)

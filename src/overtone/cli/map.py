@@ -60,9 +60,8 @@ def map_scan(
     from overtone.report.summary import energy_table, property_table
     from overtone.report.terminal import print_report
 
-    for path in (output, report):
-        if path is not None and not path.parent.is_dir():
-            raise OvertoneError(f"the folder {path.parent} does not exist", hint="create it first")
+    _check_paths(file, output, report)
+    _check_request(model, method, harmonics, poisson_ratio)
     sigma = parse_noise(noise)
     observables = open_with(file, scan)
     energies = map_energy(observables, probe_of(observables), noise=sigma)
@@ -79,7 +78,7 @@ def map_scan(
     if remark:
         observables = provenance.add_finding(observables, remark)
     properties: dict[str, xr.Dataset] = {} if result is None else {label: result}
-    tables = [energy_table(energies)]
+    tables = [energy_table(energies, _other_readings(observables))]
     if result is not None:
         tables.append(property_table(label, result))
     content = Report(
@@ -94,14 +93,66 @@ def map_scan(
     merged = observables.merge(energies.drop_attrs(deep=False))
     if result is not None:
         merged = merged.merge(result.drop_attrs(deep=False)).assign_attrs(result.attrs)
-    save(merged.assign_attrs(findings=observables.attrs.get("findings", "[]")), output)
+    # the report first: where it cannot be written nothing is
     if report is not None:
         write_report(content, report)
+    try:
+        save(merged.assign_attrs(findings=observables.attrs.get("findings", "[]")), output)
+    except BaseException:
+        if report is not None:
+            report.unlink(missing_ok=True)
+        raise
     console = Console()
     print_report(content, console)
     for path in (output, report):
         if path is not None:
             console.print(f"wrote {path}", highlight=False, soft_wrap=True, markup=False)
+
+
+def _check_paths(file: Path, output: Path, report: Path | None) -> None:
+    """Refuse outputs that could not be written, or would replace the scan or each other."""
+    paths = [path for path in (output, report) if path is not None]
+    for path in paths:
+        if not path.parent.is_dir():
+            raise OvertoneError(f"the folder {path.parent} does not exist", hint="create it first")
+        if path.is_dir():
+            raise OvertoneError(f"{path} is a folder", expected="the name of a file")
+        if path.resolve() == file.resolve():
+            raise OvertoneError(f"{path} is the scan itself", expected="another name for the result")
+    if len({path.resolve() for path in paths}) < len(paths):
+        raise OvertoneError("result and report have the same name", got=str(output))
+    if output.suffix.lower() != ".nc":
+        raise OvertoneError(f"{output.name} is no name for a result", expected="a name that ends in .nc")
+
+
+def _check_request(
+    model: str | None, method: str, harmonics: str | None, poisson_ratio: float | None
+) -> None:
+    """Refuse what could not be mapped, whether or not the file allows a modulus."""
+    from overtone.contact.models import contact_model
+    from overtone.contact.parameters import POISSON_RATIO
+    from overtone.inversion.properties import HARMONIC_SETS, METHODS
+
+    if model is not None and not contact_model(model).invertible:
+        raise OvertoneError(f"model {model!r} cannot be inverted", hint="overtone models")
+    if method not in METHODS:
+        raise OvertoneError("unknown method", expected=", ".join(METHODS), got=repr(method))
+    orders = _parse_harmonics(harmonics)
+    if orders is not None and orders not in HARMONIC_SETS:
+        raise OvertoneError("harmonics do not fit the method", expected="0,1,2 or 1,2,3", got=str(harmonics))
+    if poisson_ratio is not None:
+        POISSON_RATIO.check(poisson_ratio)
+
+
+def _other_readings(observables: Any) -> list[Any]:
+    """Return the energies of the same scan as its file may be read otherwise."""
+    from overtone.inversion.properties import map_energy
+    from overtone.readings import reading_of
+
+    reading = reading_of(observables)
+    alternatives = reading.alternatives if reading is not None else ()
+    first = observables[["A1", "phi1"]].drop_attrs(deep=False)
+    return [map_energy(first.assign(phi1=first["phi1"] + shift), probe) for probe, shift in alternatives]
 
 
 def _properties(

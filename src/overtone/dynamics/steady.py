@@ -31,7 +31,7 @@ from overtone.contact.terms import (
     sphere_harmonics,
 )
 from overtone.errors import OvertoneError
-from overtone.harmonics import tip_receptance, to_observables
+from overtone.harmonics import read_receptance, tip_receptance, to_observables
 from overtone.kernels import INNER, KERNEL
 from overtone.probe import Probe, format_probe
 from overtone.quantities import named_array
@@ -336,7 +336,10 @@ def hold_amplitude(
     adhesion = np.ascontiguousarray(sample.values.get("adhesion", none).ravel())
     a0 = np.ascontiguousarray(sample.values.get("intermolecular_distance", none + 1.0).ravel())
     amplitude = setpoint * probe.drive.free_amplitude
-    receptance = tip_receptance(probe.cantilever, np.arange(n_max + 1) * probe.drive.frequency)
+    frequencies = np.arange(n_max + 1) * probe.drive.frequency
+    receptance = tip_receptance(probe.cantilever, frequencies)
+    # A1 is what the detector reads; near resonance it is the motion of the tip to a part in ten thousand
+    receptance[1] = read_receptance(probe, probe.drive.frequency)
     drive_force = probe.drive.free_amplitude / abs(receptance[1])
     count = Lambda.size
     force = np.zeros((count, n_max + 1), complex)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -45,7 +46,7 @@ def complete_noise(noise: Mapping[str, float] | None, orders: tuple[int, ...]) -
     stated = dict(noise or {})
     for name, sigma in stated.items():
         record = quantity(name)
-        if record is None or record.kind != "observable" or not sigma >= 0.0:
+        if record is None or not record.symbol.startswith(("A_", "phi_")) or not 0.0 <= sigma < math.inf:
             raise OvertoneError(
                 "noise is not stated in a usable way",
                 expected="observables such as A0, A1, phi1, A2 with standard deviations >= 0",

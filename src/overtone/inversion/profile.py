@@ -78,6 +78,7 @@ def modulus_range(
     levels: _Floats,
     low: _Floats,
     high: _Floats,
+    misfit: _Floats,
 ) -> None:
     """Fill the smallest and the largest ln E_s the data of each pixel allow.
 
@@ -95,6 +96,8 @@ def modulus_range(
         Quantiles of chi-squared that bound what is allowed.
     low, high : array (pixel, level)
         Filled: ln E_s.
+    misfit : array (pixel,)
+        Filled: the smallest chi-squared of the scan. Nothing but noise beyond `CHI2_999` needs a better model.
     """
     last = lower.shape[0] - 1
     work = np.empty((4, orders[N_HARMONICS - 1] + 1))
@@ -125,6 +128,7 @@ def modulus_range(
             )
             if chi2[k] < chi2[best]:
                 best = k
+        misfit[pixel] = chi2[best]
         for level in range(levels.shape[0]):
             least, most = math.inf, -math.inf
             limit = chi2[best] + levels[level]

@@ -21,12 +21,12 @@ from overtone.errors import (
     ResonanceWarning,
     UncalibratedWarning,
 )
-from overtone.harmonics import far_phase
+from overtone.harmonics import far_phase, read_receptance, to_force_harmonics
 from overtone.io.recording import Channel, Recording
 from overtone.io.registry import read_channels
-from overtone.io.resonance import PLAUSIBLE_PHASE, rank_resonances
+from overtone.io.resonance import PLAUSIBLE_PHASE, free_phase_error, rank_resonances
 from overtone.io.vendors import Vendor, candidates, main_channels, vendor_of
-from overtone.probe import Probe, format_probe
+from overtone.probe import SLOPE, Probe, format_probe
 from overtone.quantities import harmonic_orders, named_array, quantity, validate_observables
 from overtone.readings import Reading, parse_reading, with_reading
 from overtone.units import format_quantity
@@ -36,6 +36,7 @@ from overtone.units import format_quantity
 _LOCKED_PHASE = 0.05
 _FLAT_AMPLITUDE = 0.07
 _LARGEST_A0 = 5e-9
+_PRODUCED = 0.05  # share of the drive force that DISS_1 may fall below zero by a small error of the phase
 _HIGHEST = 9
 _OBSERVABLES = ("height", "A0", *(f"{letter}{n}" for n in range(1, _HIGHEST + 1) for letter in ("A", "phi")))
 
@@ -156,7 +157,11 @@ def _observables(
     }
     dataset = validate_observables(xr.Dataset(arrays, attrs=attributes))
     _check_probe(recording, dataset, reading.probe)
-    return with_reading(dataset, replace(reading, doubts=_doubts(dataset, reading.corrected)))
+    established = (
+        reading.phase_established and _is_tapping(recording) and _loses_energy(dataset, reading.probe)
+    )
+    doubts = _doubts(dataset, reading, vendor_of(recording))
+    return with_reading(dataset, replace(reading, phase_established=established, doubts=doubts))
 
 
 def missing_for_modulus(observables: xr.Dataset) -> str:
@@ -248,12 +253,25 @@ def _in_si(chosen: Mapping[str, Channel], scales: Mapping[str, float]) -> dict[s
     for name, channel in chosen.items():
         record = quantity(name)
         unit = record.unit if record else None
+        if channel.name in scales and channel.unit is not None:
+            raise ChannelError(
+                f"{channel.name} has the unit {channel.unit} in the file",
+                got=f"a scale of {scales[channel.name]:g} for it",
+                hint="scales are for channels without a unit",
+            )
         if channel.name in scales:
             values[name] = channel.values * scales[channel.name]
         elif channel.unit == unit:
             values[name] = channel.values
         else:
             stated = "no unit" if channel.unit is None else f"the unit {channel.unit} instead of {unit}"
+            if name in ("A1", "phi1"):
+                raise ChannelError(
+                    f"{name} ({channel.name}) has {stated}",
+                    expected=f"a channel in {unit}",
+                    hint=f'a unit in the file, or --scale {channel.name}="1 {"nm" if unit == "m" else "deg"}" '
+                    "where it has none",
+                )
             without.append(f"{name} ({channel.name}: {stated})")
     if without:
         example = chosen[without[0].split()[0]].name
@@ -263,7 +281,15 @@ def _in_si(chosen: Mapping[str, Channel], scales: Mapping[str, float]) -> dict[s
             ChannelWarning,
             stacklevel=2,
         )
-    mean = float(np.nanmean(values["A0"])) if "A0" in values else 0.0
+    empty = [
+        name for name, array in values.items() if not np.isfinite(array).any() and name not in ("A1", "phi1")
+    ]
+    if empty:
+        warnings.warn(
+            f"not used, because no pixel has a value: {', '.join(empty)}", ChannelWarning, stacklevel=2
+        )
+        values = {name: array for name, array in values.items() if name not in empty}
+    mean = float(np.mean(values["A0"][np.isfinite(values["A0"])])) if "A0" in values else 0.0
     if abs(mean) > _LARGEST_A0:
         warnings.warn(
             f"A0 ({chosen['A0'].name}) averages {format_quantity(mean, 'm')}, where a mean deflection in tapping "
@@ -301,11 +327,35 @@ def _reading(
     """Return the probe to use, and what the file leaves open."""
     stored = parse_reading(recording.metadata)
     corrected = corrected or (stored is not None and stored.corrected)
-    if probe is not None:
-        return Reading(probe, corrected=corrected)
-    if stored is not None:
+    if stored is not None and probe is None:
         return replace(stored, corrected=corrected)
-    best, *others = rank_resonances(recording)
+    if probe is not None:
+        established, alternatives = far_reading is not None or stored is not None, []
+        error = free_phase_error(recording, probe)
+        if established:
+            pass
+        elif error is not None:
+            established = abs(error) <= PLAUSIBLE_PHASE
+            alternatives = [(probe, -error)]
+            warnings.warn(
+                f"phases are taken as stored; the free-air phase in the file is {math.degrees(error):+.1f} deg off the "
+                "one this probe predicts, and a regime that the difference flips counts as undetermined",
+                PhaseReferenceWarning,
+                stacklevel=2,
+            )
+        elif recording.vendor == "overtone":
+            established = corrected
+            if not corrected:
+                warnings.warn(
+                    "phases are taken as lags referred to the free lever, but nothing in the file says that they are: "
+                    "no regime is decided. Give the phase read far from the surface (--far-phase)",
+                    PhaseReferenceWarning,
+                    stacklevel=2,
+                )
+        else:
+            established = vendor_of(recording).phase_known
+        return Reading(probe, tuple(alternatives), established, corrected)
+    best, *others = rank_resonances(recording, referenced=far_reading is not None)
     alternatives = [(test.probe, 0.0) for test in others]
     established = True
     if far_reading is not None:
@@ -350,7 +400,7 @@ def _check_probe(recording: Recording, dataset: xr.Dataset, probe: Probe) -> Non
             ResonanceWarning,
             stacklevel=2,
         )
-    mean = float(dataset["A1"].mean())
+    mean = float(dataset["A1"].where(np.isfinite(dataset["A1"])).mean())
     free = probe.drive.free_amplitude
     if mean > 1.02 * free:
         warnings.warn(
@@ -364,22 +414,61 @@ def _check_probe(recording: Recording, dataset: xr.Dataset, probe: Probe) -> Non
 # --- what cannot be concluded ---------------------------------------------------------------------
 
 
-def _doubts(dataset: xr.Dataset, corrected: bool) -> dict[int, str]:
+def _doubts(dataset: xr.Dataset, reading: Reading, vendor: Vendor) -> dict[int, str]:
     """Return, by harmonic, why nothing can be concluded from it."""
-    if corrected:
-        return {}
     doubts: dict[int, str] = {}
-    if "A0" in dataset:
+    if not reading.corrected and "A0" in dataset:
         doubts[0] = (
             "A0 is as the file stores it: its zero far from the surface is not known, and 1 pm of it moves a "
             "modulus by tens of per cent. If it was corrected before, say so: --corrected"
         )
-    distortion = _distortion(dataset)
+    distortion = "" if reading.corrected else _distortion(dataset)
     if distortion:
         doubts[2] = distortion
-    for reason in doubts.values():
+    probe = reading.probe
+    if vendor.optical_lever and (probe.detector.kind != SLOPE or len(probe.cantilever.modes) == 1):
+        lever = (
+            "an optical lever reads slope: against a single-mode probe it shows A0 about 12 % high, A2 25 to 40 % low "
+            "and A3 of either sign, which moves a modulus by factors. Give the modes of the lever in the probe file, "
+            'with their slope ratios and kind = "slope" in [detector]'
+        )
+        for n in harmonic_orders(dataset):
+            if n != 1:
+                doubts[n] = f"{doubts[n]}. Also, {lever}" if n in doubts else lever
+    for reason in dict.fromkeys(doubts.values()):
         warnings.warn(reason, DistortionWarning, stacklevel=2)
     return doubts
+
+
+def _is_tapping(recording: Recording) -> bool:
+    """Warn where the file says that it was not recorded in tapping mode."""
+    mode = recording.metadata.get("ImagingMode", "AC Mode")
+    if mode == "AC Mode":
+        return True
+    warnings.warn(
+        f"the file says {mode}, not AC mode: if its amplitude is no tapping amplitude, nothing here holds; no regime "
+        "is decided",
+        ChannelWarning,
+        stacklevel=2,
+    )
+    return False
+
+
+def _loses_energy(dataset: xr.Dataset, probe: Probe) -> bool:
+    """Warn where most pixels would produce energy: then sign, zero or calibration of the phase is wrong."""
+    force = to_force_harmonics(dataset[["A1", "phi1"]], probe)["F_diss"].sel(harmonic=1)
+    floor = (
+        -_PRODUCED * probe.drive.free_amplitude / abs(complex(read_receptance(probe, probe.drive.frequency)))
+    )
+    if not float((force < floor).mean()) > 0.5:
+        return True
+    warnings.warn(
+        "most pixels would give energy to the tip instead of taking it: the sign or the zero of the phase, or the "
+        "calibration of the amplitude, is wrong; no regime is decided",
+        PhaseReferenceWarning,
+        stacklevel=2,
+    )
+    return False
 
 
 def _distortion(dataset: xr.Dataset) -> str:

@@ -152,7 +152,7 @@ def _unrecognised(path: Path, head: bytes) -> FileFormatError:
         )
     other = next((name for magic, name in _OTHERS if head.startswith(magic)), None)
     if other is not None:
-        hint = "export the channels as .gsf, or as a table with units in its header"
+        hint = "export the channels as one table (CSV) with units in its header, or as netCDF"
         got = other
     else:
         got = repr(head[:24].decode("latin-1"))

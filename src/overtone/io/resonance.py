@@ -61,15 +61,15 @@ class ResonanceTest:
         return text
 
 
-def rank_resonances(recording: Recording, *, radius: float | None = None) -> tuple[ResonanceTest, ...]:
+def rank_resonances(recording: Recording, *, referenced: bool = False) -> tuple[ResonanceTest, ...]:
     """Build a probe from each resonance of a file and rank them by their agreement with its free-air values.
 
     Parameters
     ----------
     recording : Recording
         With stiffness, drive frequency, free amplitude and at least one resonance among its facts.
-    radius : float, optional
-        Tip radius [m]; files do not hold it.
+    referenced : bool
+        Whether the phase was referred to the free lever by hand: then nothing is said of its stored zero.
 
     Returns
     -------
@@ -111,7 +111,7 @@ def rank_resonances(recording: Recording, *, radius: float | None = None) -> tup
             stacklevel=2,
         )
     tests = sorted(
-        (_test(recording, resonance, radius) for resonance in usable or recording.resonances),
+        (_test(recording, resonance) for resonance in usable or recording.resonances),
         key=lambda test: (
             abs(test.phase_error) if test.phase_error is not None else 0.0,
             _ORDER.get(test.resonance.source, 2),
@@ -126,7 +126,7 @@ def rank_resonances(recording: Recording, *, radius: float | None = None) -> tup
             stacklevel=2,
         )
     error = tests[0].phase_error
-    if error is not None and abs(error) > PLAUSIBLE_PHASE:
+    if error is not None and abs(error) > PLAUSIBLE_PHASE and not referenced:
         warnings.warn(
             f"no resonance of the file fits its stored free-air phase; the nearest is "
             f"{math.degrees(abs(error)):.0f} deg off ({tests[0].sentence()}). The zero of the phase is not "
@@ -137,7 +137,14 @@ def rank_resonances(recording: Recording, *, radius: float | None = None) -> tup
     return tuple(tests)
 
 
-def _test(recording: Recording, resonance: Resonance, radius: float | None) -> ResonanceTest:
+def free_phase_error(recording: Recording, probe: Probe) -> float | None:
+    """Return the stored free-air phase minus the one a probe predicts [rad], None where none is stored."""
+    if "free_phase" not in recording.facts:
+        return None
+    return float(np.angle(np.exp(1j * (recording.facts["free_phase"].value - far_phase(probe)))))
+
+
+def _test(recording: Recording, resonance: Resonance) -> ResonanceTest:
     facts = recording.facts
     probe = Probe.simple(
         stiffness=facts["stiffness"].value,
@@ -145,12 +152,9 @@ def _test(recording: Recording, resonance: Resonance, radius: float | None) -> R
         quality_factor=resonance.quality_factor,
         drive_frequency=facts["drive_frequency"].value,
         free_amplitude=facts["free_amplitude"].value,
-        radius=radius,
     )
     predicted = far_phase(probe)
-    phase_error = amplitude_ratio = None
-    if "free_phase" in facts:
-        phase_error = float(np.angle(np.exp(1j * (facts["free_phase"].value - predicted))))
+    phase_error, amplitude_ratio = free_phase_error(recording, probe), None
     if "tune_amplitude" in facts:
         # |G(r)| / |G(1)| = sin(phi_far) / r
         off_peak = math.sin(predicted) / probe.drive_ratio

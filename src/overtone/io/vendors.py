@@ -26,6 +26,8 @@ class Vendor:
         resonance). Where False the reading far from the surface has to be given.
     phase_note : str
         The convention in words.
+    optical_lever : bool
+        Whether the deflection is read by an optical lever, which sees slope.
     """
 
     key: str
@@ -33,6 +35,7 @@ class Vendor:
     aliases: Mapping[str, tuple[str, ...]]
     phase_known: bool
     phase_note: str
+    optical_lever: bool = False
 
 
 _HARMONIC = re.compile(r"(A|phi)\d+|height")
@@ -56,6 +59,7 @@ _VENDORS = (
         },
         phase_known=True,
         phase_note="Asylum stores a phase lag, 90 deg at the resonance of the last tune",
+        optical_lever=True,
     ),
     Vendor(
         "neasnom",
@@ -63,6 +67,7 @@ _VENDORS = (
         _NEASNOM,
         phase_known=False,
         phase_note="the zero and the sign of neaSNOM phases are arbitrary",
+        optical_lever=True,
     ),
     Vendor(
         "overtone",

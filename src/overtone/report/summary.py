@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +16,7 @@ from overtone.report.content import Table
 from overtone.units import display_unit, format_quantity
 
 _MAJORITY = 0.5
+_FEW = 0.1  # share of determined pixels below which they are the outliers of the noise
 
 
 def _range(values: npt.NDArray[np.float64], unit: str, low: float, high: float) -> str:
@@ -37,8 +38,8 @@ def _percent(share: float) -> str:
     return f"{100 * share:.0f} %" if share == 0.0 or share >= 0.01 else f"{100 * share:.1f} %"
 
 
-def energy_table(energies: xr.Dataset) -> Table:
-    """Return forces, energies and regime of a scan in numbers."""
+def energy_table(energies: xr.Dataset, others: Sequence[xr.Dataset] = ()) -> Table:
+    """Return forces, energies and regime of a scan in numbers, with their means in other readings of it."""
     first = energies.sel(harmonic=1)
     rows = []
     arrays = [
@@ -51,18 +52,33 @@ def energy_table(energies: xr.Dataset) -> Table:
         values = np.asarray(array.values).ravel()
         finite = values[np.isfinite(values)]
         mean = format_quantity(float(finite.mean()), unit) if finite.size else "-"
-        rows.append((label, mean, _median(values, unit), _range(values, unit, 5, 95)))
+        row = [label, mean, _median(values, unit), _range(values, unit, 5, 95)]
+        if others:
+            row.append(_range(np.array([_mean(other, label) for other in others]), unit, 0, 100))
+        rows.append(tuple(row))
     shares = regime_shares(energies)
     attractive = float((first["F_cons"] > 0).mean())
     return Table(
         "Forces, energy and regime",
-        ("quantity", "mean", "median", "5 .. 95 % of pixels"),
+        (
+            "quantity",
+            "mean",
+            "median",
+            "5 .. 95 % of pixels",
+            *(["mean in other readings"] if others else []),
+        ),
         tuple(rows),
         note="Regime by the sign of F1_cons: "
         + ", ".join(f"{name} {_percent(share)}" for name, share in shares.items())
         + f". With the probe in use alone {_percent(attractive)} would be attractive; undetermined is what noise "
         "or another reading of the same file turns round.",
     )
+
+
+def _mean(energies: xr.Dataset, label: str) -> float:
+    first = energies.sel(harmonic=1)
+    arrays = {"F1_cons": first["F_cons"], "F1_diss": first["F_diss"], "virial": energies["virial"]}
+    return float(arrays.get(label, energies["dissipation"]).mean())
 
 
 def regime_shares(energies: xr.Dataset) -> dict[str, float]:
@@ -74,15 +90,21 @@ def regime_shares(energies: xr.Dataset) -> dict[str, float]:
 def property_table(label: str, result: xr.Dataset) -> Table:
     """Return the properties of a scan where they are determined, and what the estimator gave elsewhere."""
     determined = float((result["status"] == DETERMINED).mean())
+    quoted = determined >= _FEW
     rows = []
     for name in ("modulus", "adhesion", "indentation"):
         if name not in result:
             continue
         record = quantity(name)
         unit = record.unit if record else "1"
-        kept = result[name].values.ravel()
-        every = result[f"{name}_unscreened"].values.ravel() if f"{name}_unscreened" in result else kept
+        kept = result[name].values.ravel() if quoted else np.empty(0)
+        every = result[f"{name}_unscreened" if f"{name}_unscreened" in result else name].values.ravel()
         rows.append((name, _median(kept, unit), _range(kept, unit, 5, 95), _range(every, unit, 5, 95)))
+    if 0.0 < determined < _FEW:
+        count = int((result["status"] == DETERMINED).sum())
+        note = f"{count} pixels pass as determined, so few that their noise selected them: not quoted."
+    else:
+        note = f"{_percent(determined)} of pixels are determined."
     reason = result.attrs.get("cannot_conclude", "")
     return Table(
         f"Properties ({label})",
@@ -93,7 +115,7 @@ def property_table(label: str, result: xr.Dataset) -> Table:
             "5 .. 95 %, every pixel (not to be quoted)",
         ),
         tuple(rows),
-        note=f"{_percent(determined)} of pixels are determined. {reason}".strip(),
+        note=f"{note} Intervals hold noise only. {reason}".strip(),
     )
 
 
