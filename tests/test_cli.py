@@ -156,6 +156,21 @@ def broken(kind: str, afm_data: Path, folder: Path) -> tuple[list[object], str]:
         return [real, "--harmonics", "one"], "--harmonics is not a list"
     if kind == "no folder":
         return [real, "-o", folder / "nowhere" / "out.nc"], "does not exist"
+    if kind == "the scan itself":
+        path = folder / "scan.nc"
+        save(virtual_scan(shape=(3, 4), seed=1)[0], path)
+        return [path, "-o", path], "is the scan itself"
+    if kind == "result and report alike":
+        return [real, "-o", folder / "out.html"], "the same name"
+    if kind == "report into a folder":
+        (folder / "out.html").mkdir()
+        return [real], "is a folder"
+    if kind == "impossible ratio":
+        return [real, "--poisson-ratio", "0.9"], "poisson_ratio is out of range"
+    if kind == "wrong harmonics":
+        return [real, "--harmonics", "5,6"], "harmonics do not fit"
+    if kind == "wrong model":
+        return [real, "--model", "dtm"], "unknown contact model"
     assert kind == "no netCDF name"
     return [real, "-o", folder / "out.txt"], "nc"
 
@@ -175,6 +190,12 @@ def broken(kind: str, afm_data: Path, folder: Path) -> tuple[list[object], str]:
         "unknown method",
         "no folder",
         "no netCDF name",
+        "the scan itself",
+        "result and report alike",
+        "report into a folder",
+        "impossible ratio",
+        "wrong harmonics",
+        "wrong model",
     ],
 )
 def test_wrong_input_gets_a_clear_error_and_leaves_no_output(
@@ -262,6 +283,26 @@ def test_the_demo_writes_what_it_says(tmp_path: Path, capsys: pytest.CaptureFixt
         load(again)["modulus_unscreened"].drop_attrs(),
         result["modulus_unscreened"].sel(harmonics="harmonics 0 1 2", drop=True).drop_attrs(),
     )
+
+
+def test_a_demo_that_cannot_be_written_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "taken").write_text("a file")
+    assert run("demo", "-o", tmp_path / "taken") == 1
+    assert "Traceback" not in capsys.readouterr().err
+    assert (tmp_path / "taken").read_text() == "a file"
+
+
+def test_what_noise_selected_is_not_quoted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A stiff sample alone: a handful of pixels pass, all of them far too soft."""
+    scan, truth = virtual_scan(shape=(60, 60), seed=4)
+    stiff = np.flatnonzero(truth["material"].values.ravel() == 0)
+    only = scan.stack(point=("y", "x")).isel(point=stiff).reset_index("point", drop=True)
+    save(only, tmp_path / "stiff.nc")
+    assert run("map", tmp_path / "stiff.nc", "-o", tmp_path / "maps.nc", "--poisson-ratio", 0.35) == 0
+    printed = flat(capsys.readouterr().out)
+    row = re.search(r"modulus +(\S+) +(\S+)", printed.split("Properties")[1])
+    assert row is not None
+    assert row.group(1) == "-"
 
 
 def test_help_needs_no_heavy_imports() -> None:
