@@ -89,7 +89,7 @@ def largest_term(model: ContactModel, amplitude: float, indentation: float) -> f
         st.floats(0.1, 0.999),
         st.floats(1.0001, 30.0),
     ),
-    log_amplitude=st.floats(-9.5, -6.5),
+    log_amplitude=st.floats(-9.5, -5.5),
 )
 @example(Delta=0.31e-9 / (2 * 10e-9), log_amplitude=-8.0)  # delta = a0, where b = 1
 @example(Delta=1e-5, log_amplitude=-6.5)
@@ -142,6 +142,19 @@ def test_derivatives_of_adhesion(tail: int, reach: float, Delta: float) -> None:
     step = 1e-6 * abs(Delta)
     slope = (at(Delta + step)[0] - at(Delta - step)[0]) / (2.0 * step)
     assert abs(at(Delta)[1] - slope).max() <= 1e-5 * max(abs(slope).max(), 1e-4)
+
+
+@pytest.mark.parametrize("reach", [1e-3, 0.1, 1.5])
+@pytest.mark.parametrize("Delta", [0.003, 0.2, 0.8])
+def test_derivatives_of_hysteresis(reach: float, Delta: float) -> None:
+    def at(D: float) -> tuple[np.ndarray, np.ndarray]:
+        cons, diss, dcons, ddiss = (np.empty(7) for _ in range(4))
+        terms.hysteresis_harmonics(1.0, D, reach, 6, cons, diss, dcons, ddiss)
+        return cons - 1j * diss, dcons - 1j * ddiss
+
+    step = 1e-6 * Delta
+    slope = (at(Delta + step)[0] - at(Delta - step)[0]) / (2.0 * step)
+    assert abs(at(Delta)[1] - slope).max() <= 1e-6 * abs(slope).max()
 
 
 def test_a_viscous_partner_loses_energy_and_a_spring_does_not() -> None:

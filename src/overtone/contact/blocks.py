@@ -154,8 +154,8 @@ def hysteresis_term(formula: str, coefficient: Coefficient, reach: Coefficient) 
 
     def harmonics(values: Values, amplitude: _Floats, Delta: _Floats, n_max: int) -> _Complex:
         shape, (A, D, distance) = _points(amplitude, Delta, reach(values))
-        cons, diss = np.empty((A.size, n_max + 1)), np.empty((A.size, n_max + 1))
-        terms.hysteresis_block(A, D, distance, cons, diss)
+        cons, diss, dcons, ddiss = (np.empty((A.size, n_max + 1)) for _ in range(4))
+        terms.hysteresis_block(A, D, distance, cons, diss, dcons, ddiss)
         result = (cons - 1j * diss).reshape(*shape, n_max + 1)
         return np.asarray(np.asarray(coefficient(values))[..., None] * result)
 

@@ -469,24 +469,35 @@ def _tail_integrals(beta: float, t1: float, closeness: float) -> tuple[float, fl
 
 @njit(**KERNEL)
 def hysteresis_harmonics(
-    amplitude: float, Delta: float, reach: float, n_max: int, cons: _Floats, diss: _Floats
+    amplitude: float,
+    Delta: float,
+    reach: float,
+    n_max: int,
+    cons: _Floats,
+    diss: _Floats,
+    dcons: _Floats,
+    ddiss: _Floats,
 ) -> None:
-    """Fill CONS_n and DISS_n of an attraction of -1 over 0 < d < reach on retraction only.
+    """Fill CONS_n and DISS_n of an attraction of -1 over 0 < d < reach on retraction only, and their d/dDelta.
 
     Only where contact was made (Delta > 0); a reach beyond the far turning point is cut there, and the
     energy lost is less. The harmonics are those of a neck or a capillary that forms at contact.
     """
     for n in range(n_max + 1):
-        cons[n], diss[n] = 0.0, 0.0
+        cons[n], diss[n], dcons[n], ddiss[n] = 0.0, 0.0, 0.0, 0.0
     if not 0.0 < Delta < 1.0:
         return
     c1, c2 = contact_angle(Delta), contact_angle(Delta + 0.5 * reach / amplitude)
+    rate1, rate2 = 2.0 / math.sin(c1), 2.0 / math.sin(c2) if c2 < math.pi else 0.0
     cons[0] = -(c2 - c1) / (2.0 * math.pi)
+    dcons[0] = -(rate2 - rate1) / (2.0 * math.pi)
     for n in range(1, n_max + 1):
         middle, half = 0.5 * n * (c1 + c2), 0.5 * n * (c2 - c1)
-        scale = -0.5 * _weight(n) / n
-        cons[n] = scale * 2.0 * math.cos(middle) * math.sin(half)
-        diss[n] = scale * 2.0 * math.sin(middle) * math.sin(half)
+        scale = -0.5 * _weight(n)
+        cons[n] = scale / n * 2.0 * math.cos(middle) * math.sin(half)
+        diss[n] = scale / n * 2.0 * math.sin(middle) * math.sin(half)
+        dcons[n] = scale * (math.cos(n * c2) * rate2 - math.cos(n * c1) * rate1)
+        ddiss[n] = scale * (math.sin(n * c2) * rate2 - math.sin(n * c1) * rate1)
 
 
 # --- blocks -----------------------------------------------------------------------------------------------------
@@ -510,8 +521,16 @@ def adhesion_block(
 
 @njit(**KERNEL)
 def hysteresis_block(
-    amplitude: _Floats, Delta: _Floats, reach: _Floats, cons: _Floats, diss: _Floats
+    amplitude: _Floats,
+    Delta: _Floats,
+    reach: _Floats,
+    cons: _Floats,
+    diss: _Floats,
+    dcons: _Floats,
+    ddiss: _Floats,
 ) -> None:
     """Fill harmonics (point, n) of `hysteresis_harmonics` for every point."""
     for i in range(amplitude.shape[0]):
-        hysteresis_harmonics(amplitude[i], Delta[i], reach[i], cons.shape[1] - 1, cons[i], diss[i])
+        hysteresis_harmonics(
+            amplitude[i], Delta[i], reach[i], cons.shape[1] - 1, cons[i], diss[i], dcons[i], ddiss[i]
+        )
