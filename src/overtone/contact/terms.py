@@ -425,16 +425,20 @@ def van_der_waals_harmonics(
     M = 2.0 / bp**3 * (S1 + 2.0 * (1.0 - beta) * S2 + (1.0 - beta) ** 2 * S3)
     free = math.pi - c1 if Delta < 0.5 else 2.0 * math.asin(math.sqrt(1.0 - Delta))
     J_next, I_next, M_next = b * J - free, b * I - J, b * M - I
+    # sin(n c1) by its own recurrence: one sine instead of one an order
+    u1 = 1.0 - 2.0 * Delta
+    below, sine = 0.0, 2.0 * math.sqrt(Delta * (1.0 - Delta))
     for n in range(n_max + 1):
-        inside = c1 if n == 0 else math.sin(n * c1) / n
+        inside = c1 if n == 0 else below / n
         h[n] = -_weight(n) * (reach * reach * I + inside)
         dh[n] = -4.0 * _weight(n) * reach * reach * M
         k = n + 1
-        J_new = 2.0 * b * J_next - J + 2.0 * math.sin(k * c1) / k
+        J_new = 2.0 * b * J_next - J + 2.0 * sine / k
         I_new = 2.0 * b * I_next - I - 2.0 * J_next
         M_new = 2.0 * b * M_next - M - 2.0 * I_next
         J, I, M = J_next, I_next, M_next
         J_next, I_next, M_next = J_new, I_new, M_new
+        below, sine = sine, 2.0 * u1 * sine - below
 
 
 @njit(**KERNEL)
