@@ -187,7 +187,7 @@ def test_dissipation_is_clevelands_formula() -> None:
     expected = math.pi * 16.4 * A / 287.0 * (94e-9 * math.sin(phase) - A)
     assert float(result["dissipation"][0]) == pytest.approx(expected, rel=1e-12, abs=0)
     assert float(result["virial"][0]) == pytest.approx(
-        -0.5 * A * 16.4 * 94e-9 / 287 * math.cos(phase), rel=1e-12
+        -0.5 * A * 16.4 * 94e-9 / 287 * math.cos(phase), rel=1e-12, abs=0
     )
 
 

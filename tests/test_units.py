@@ -29,7 +29,7 @@ from overtone.units import conversion_factor, display_unit, format_quantity, par
     ],
 )
 def test_text_with_a_unit_becomes_si(text: str, unit: str, value: float) -> None:
-    assert parse_quantity(text, unit) == pytest.approx(value, rel=1e-14)
+    assert parse_quantity(text, unit) == pytest.approx(value, rel=1e-14, abs=0)
 
 
 @pytest.mark.parametrize(
@@ -55,7 +55,7 @@ def test_a_unit_that_does_not_fit_is_named(text: str, unit: str, word: str) -> N
 def test_displayed_values_read_back(value: float, unit: str) -> None:
     display = display_unit(value, unit)
     assert parse_quantity(f"{value * display.factor!r} {display.label}", unit) == pytest.approx(
-        value, rel=1e-12
+        value, rel=1e-12, abs=0
     )
 
 

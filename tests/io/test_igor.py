@@ -268,7 +268,7 @@ def test_nap_channels_are_kept_apart(afm_data):
         "ZSensor",
     ]
     assert [c.name for c in scan.channels if c.nap] == ["NapAmplitude", "NapPhase"]
-    assert by_name(scan)["NapAmplitude"].values.mean() == pytest.approx(9.9725e-10, rel=1e-4)
+    assert by_name(scan)["NapAmplitude"].values.mean() == pytest.approx(9.9725e-10, rel=1e-4, abs=0)
 
 
 def test_two_drive_tones(afm_data):
@@ -313,7 +313,7 @@ def test_dynamic_approach_curve(afm_data):
         ("ZSnsr", "m"),
     ]
     assert curve.channels[0].values.shape == (15286,)
-    assert by_name(curve)["Amp"].values.mean() == pytest.approx(1.8311e-9, rel=1e-4)
+    assert by_name(curve)["Amp"].values.mean() == pytest.approx(1.8311e-9, rel=1e-4, abs=0)
     assert curve.facts["stiffness"].value == 25.36
     assert (curve.resonances[0].frequency, curve.resonances[0].quality_factor) == (127970.0, 8.1153)
     assert (curve.metadata["Indexes"], curve.metadata["Direction"]) == ("0,7643,15285", "NaN,1,-1,")

@@ -131,11 +131,17 @@ def test_real_harmonics(afm_data):
     assert len(channels) == 26
     assert channels["Z"].values.shape == (10, 20)
     assert channels["Z"].unit == "m"
-    assert (channels["M1A"].unit, channels["M1A"].values.mean()) == ("m", pytest.approx(86.951e-9, rel=1e-5))
-    assert (channels["M2A"].unit, channels["M2A"].values.mean()) == (None, pytest.approx(0.040392, rel=1e-4))
+    assert (channels["M1A"].unit, channels["M1A"].values.mean()) == (
+        "m",
+        pytest.approx(86.951e-9, rel=1e-5, abs=0),
+    )
+    assert (channels["M2A"].unit, channels["M2A"].values.mean()) == (
+        None,
+        pytest.approx(0.040392, rel=1e-4, abs=0),
+    )
     assert (channels["M2P"].unit, channels["M2P"].values.mean()) == (
         "rad",
-        pytest.approx(-0.981756, rel=1e-5),
+        pytest.approx(-0.981756, rel=1e-5, abs=0),
     )
     assert scan.facts["drive_frequency"].value == 237595.092
     assert scan.facts["setpoint_amplitude"].value == pytest.approx(87.076e-9)

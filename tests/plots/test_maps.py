@@ -46,7 +46,9 @@ def test_pixels_are_square_also_in_oblong_maps(shape, a_map, drawn):
     axes = drawn(a_map("A1", np.random.default_rng(0).random(shape) * 1e-9))
     box = axes.get_position()
     figure = axes.figure.get_size_inches()
-    assert (box.height * figure[1]) / (box.width * figure[0]) == pytest.approx(shape[0] / shape[1], rel=1e-3)
+    assert (box.height * figure[1]) / (box.width * figure[0]) == pytest.approx(
+        shape[0] / shape[1], rel=1e-3, abs=0
+    )
 
 
 def test_the_order_of_dimensions_does_not_turn_the_map(a_map, drawn):
