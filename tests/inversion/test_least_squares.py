@@ -74,6 +74,20 @@ def test_fig_7_of_the_paper_from_every_documented_start(
 
 
 @pytest.mark.parametrize("orders", [(0, 1, 2), (1, 2, 3)])
+def test_the_exact_tail_leaves_only_the_bias_of_the_bare_cosine(
+    steady_states: list[dict[str, Any]], orders: tuple[int, ...]
+) -> None:
+    """The same states through `dmt`: what is left is eq 10, the same from either set of harmonics."""
+    force = np.array([row["F_eq6_nN"] for row in steady_states])[:, list(orders)] * 1e-9
+    amplitude = np.array([row["A_nm"][1] for row in steady_states]) * 1e-9
+    x, _, _, outcome = fit(force, amplitude, orders, least_squares.STARTS[1], terms.VAN_DER_WAALS_TAIL)
+    assert (outcome == least_squares.CONVERGED).all()
+    at = [[row["setpoint_nominal"] for row in steady_states].index(s) for s in (0.2, 0.5, 0.7, 0.9)]
+    np.testing.assert_allclose(x[at, 0] / 1e9, [1.063, 1.034, 1.024, 1.016], atol=2e-3)
+    np.testing.assert_allclose(x[at, 1] / 1e-9, [20.3, 20.1, 20.1, 20.1], atol=0.06)
+
+
+@pytest.mark.parametrize("orders", [(0, 1, 2), (1, 2, 3)])
 @pytest.mark.parametrize("start", least_squares.STARTS)
 def test_round_trip_recovers_the_parameters(
     orders: tuple[int, ...], start: tuple[float, float, float]
