@@ -184,6 +184,6 @@ def _verdicts(
             share = float((status == 0).mean())
             verb = "determine" if share >= 0.5 else "do not determine"
             sentences.append(
-                f"{label.capitalize()} {verb} the modulus of {material}: {100 * share:.0f} % of its pixels are."
+                f"{label.capitalize()} {verb} the modulus of {material} ({100 * share:.0f} % of its pixels)."
             )
     return tuple(sentences)

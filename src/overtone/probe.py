@@ -211,6 +211,23 @@ class Probe:
         return self.drive.frequency / self.cantilever.modes[0].frequency
 
 
+def required_radius(probe: Probe) -> float:
+    """Return the tip radius, or say that it is missing.
+
+    Raises
+    ------
+    ProbeError
+        If the probe has none.
+    """
+    if probe.tip.radius is None:
+        raise ProbeError(
+            "no tip radius",
+            expected="the radius of the tip, which scales every modulus as 1/sqrt(R)",
+            hint='radius = "10 nm" in the [tip] section of the probe, or --radius "10 nm"',
+        )
+    return probe.tip.radius
+
+
 _SECTIONS = {"tip": Tip, "drive": Drive, "detector": Detector}
 
 

@@ -33,7 +33,7 @@ from overtone.contact.terms import (
 from overtone.errors import OvertoneError
 from overtone.harmonics import read_receptance, tip_receptance, to_observables
 from overtone.kernels import INNER, KERNEL
-from overtone.probe import Probe, format_probe
+from overtone.probe import Probe, format_probe, required_radius
 from overtone.quantities import named_array
 
 FOUND, NO_STATE, NOT_CONVERGED = 0, 1, 2
@@ -399,20 +399,3 @@ def _tail(sample: Sample) -> int:
             hint="the conservative model nearest to it",
         )
     return sample.model.tail
-
-
-def required_radius(probe: Probe) -> float:
-    """Return the tip radius, or say that it is missing.
-
-    Raises
-    ------
-    OvertoneError
-        If the probe has none.
-    """
-    if probe.tip.radius is None:
-        raise OvertoneError(
-            "no tip radius",
-            expected="the radius of the tip, which scales every modulus as 1/sqrt(R)",
-            hint='radius = "10 nm" in the [tip] section of the probe, or --radius "10 nm"',
-        )
-    return probe.tip.radius

@@ -13,14 +13,13 @@ from overtone import provenance
 from overtone.blocks import run_blocks
 from overtone.contact.models import contact_model, models
 from overtone.contact.parameters import DISTANCE, POISSON_RATIO
-from overtone.dynamics.steady import required_radius
 from overtone.errors import InversionError
 from overtone.harmonics import UNDETERMINED, energy, far_phase, read_receptance, regime, to_force_harmonics
 from overtone.instrument.noise import complete_noise
 from overtone.inversion import least_squares
 from overtone.inversion.linear import Contact
 from overtone.inversion.profile import CHI2_90, CHI2_999, modulus_range
-from overtone.probe import Probe, format_probe
+from overtone.probe import Probe, format_probe, required_radius
 from overtone.quantities import harmonic_orders, named_array
 from overtone.readings import reading_of
 
