@@ -11,7 +11,7 @@ from scipy.special import gamma, hyp2f1
 
 from overtone.blocks import run_blocks
 from overtone.contact import terms
-from overtone.contact.models import sample
+from overtone.contact.sample import sample
 from overtone.demo import demo_probe, virtual_scan
 from overtone.dynamics.steady import hold_amplitude
 from overtone.harmonics import to_force_harmonics

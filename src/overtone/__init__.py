@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 from overtone._version import __version__
 
 if TYPE_CHECKING:
-    from overtone.contact.models import Sample as Sample
-    from overtone.contact.models import force as force
-    from overtone.contact.models import force_harmonics as force_harmonics
+    from overtone.contact.evaluate import force as force
+    from overtone.contact.evaluate import force_harmonics as force_harmonics
     from overtone.contact.models import models as models
-    from overtone.contact.models import sample as sample
+    from overtone.contact.sample import Sample as Sample
+    from overtone.contact.sample import sample as sample
     from overtone.contact.validity import tabor_parameter as tabor_parameter
     from overtone.dynamics.steady import hold_amplitude as hold_amplitude
     from overtone.harmonics import to_force_harmonics as to_force_harmonics
@@ -33,9 +33,9 @@ if TYPE_CHECKING:
 # Public name to the module it lives in.
 _HOME = {
     "Probe": "probe",
-    "Sample": "contact.models",
-    "force": "contact.models",
-    "force_harmonics": "contact.models",
+    "Sample": "contact.sample",
+    "force": "contact.evaluate",
+    "force_harmonics": "contact.evaluate",
     "hold_amplitude": "dynamics.steady",
     "load": "io.netcdf",
     "load_probe": "probe",
@@ -45,7 +45,7 @@ _HOME = {
     "open_scan": "io.observables",
     "probe_of": "readings",
     "read_channels": "io.registry",
-    "sample": "contact.models",
+    "sample": "contact.sample",
     "save": "io.netcdf",
     "save_probe": "probe",
     "tabor_parameter": "contact.validity",

@@ -9,7 +9,7 @@ from pathlib import Path
 import xarray as xr
 
 from overtone import provenance
-from overtone.contact.models import sample
+from overtone.contact.sample import sample
 from overtone.dynamics.steady import FOUND, hold_amplitude
 from overtone.instrument.noise import ORDINARY_NOISE, add_noise
 from overtone.instrument.phantom import POLYOLEFIN, POLYSTYRENE, blend

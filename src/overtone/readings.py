@@ -30,7 +30,7 @@ class Reading:
     corrected : bool
         Whether A0 and the higher harmonics were freed of offset and detector distortion.
     doubts : mapping of int to str
-        Harmonic to the reason why nothing can be concluded from it.
+        Harmonic to the reasons why nothing can be concluded from it, one a line.
     """
 
     probe: Probe

@@ -1,8 +1,9 @@
 import numpy as np
 import pytest
 
-from overtone.contact.models import contact_model, models, sample
+from overtone.contact.models import contact_model, models
 from overtone.contact.parameters import effective_modulus
+from overtone.contact.sample import sample
 from overtone.errors import ContactModelError
 
 

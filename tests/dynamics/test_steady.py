@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from overtone.contact.models import Sample, sample
 from overtone.contact.parameters import effective_modulus
+from overtone.contact.sample import Sample, sample
 from overtone.contact.terms import adhesion_shape, sphere_force
 from overtone.dynamics.steady import FOUND, NO_STATE, hold_amplitude
 from overtone.errors import OvertoneError

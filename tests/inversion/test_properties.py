@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 
 from overtone import provenance
-from overtone.contact.models import sample
+from overtone.contact.sample import sample
 from overtone.demo import demo_probe, virtual_scan
 from overtone.dynamics.steady import hold_amplitude
 from overtone.errors import ContactModelError, InversionError, OvertoneError
@@ -74,7 +74,7 @@ def test_shared_doubts_leave_no_pixel_determined(soft: xr.Dataset) -> None:
     result = map_properties(doubtful, demo_probe(), harmonics=(1, 2, 3), **ASKED)
     assert (result["status"] == NOT_DETERMINED).all()
     assert np.isnan(result["modulus"]).all()
-    assert result.attrs["cannot_conclude"] == "distortion"
+    assert result.attrs["cannot_conclude"] == "distortion."
     harmless = with_reading(soft, Reading(demo_probe(), doubts={0: "offset"}))
     assert (
         map_properties(harmless, demo_probe(), harmonics=(1, 2, 3), **ASKED)["status"] == DETERMINED

@@ -197,3 +197,19 @@ def resolve(
         value = given.get(parameter.name)
         values[parameter.name] = parameter.check(parameter.default if value is None else value)
     return values
+
+
+def check_shapes(values: Values, **arrays: npt.NDArray[np.float64]) -> None:
+    """Refuse parameters and arrays that do not broadcast.
+
+    Raises
+    ------
+    ContactModelError
+        With the shapes that arrived.
+    """
+    everything = {**values, **arrays}
+    try:
+        np.broadcast_shapes(*(array.shape for array in everything.values()))
+    except ValueError as error:
+        shapes = ", ".join(f"{name} {array.shape}" for name, array in everything.items() if array.shape)
+        raise ContactModelError("shapes do not fit", expected="arrays that broadcast", got=shapes) from error

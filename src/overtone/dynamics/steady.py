@@ -19,8 +19,8 @@ from numba import njit
 
 from overtone import provenance
 from overtone.blocks import run_blocks
-from overtone.contact.models import Sample
 from overtone.contact.parameters import effective_modulus
+from overtone.contact.sample import Sample
 from overtone.contact.terms import (
     CONTACT_ONLY,
     LINEAR_TAIL,

@@ -218,7 +218,7 @@ def map_properties(
     reading = reading_of(observables)
     doubts = [reading.doubts[n] for n in orders if n in reading.doubts] if reading else []
     if doubts:
-        status[(status == DETERMINED) | (status == START_DEPENDENT)] = NOT_DETERMINED
+        status[status != MISSING_DATA] = NOT_DETERMINED
     values = np.exp(best)
     values[(status == MISSING_DATA) | (status == NOT_CONVERGED)] = math.nan
     names = [p.name if p else "indentation" for p in unknowns]
@@ -243,7 +243,8 @@ def map_properties(
     arrays["status"] = named_array("status", status.reshape(shape), dims, coords, **STATUS_FLAGS)
     attributes = {"model": model, "method": method, "method_note": METHODS[method]}
     if doubts:
-        attributes["cannot_conclude"] = " ".join(doubts)
+        reasons = dict.fromkeys(line for doubt in doubts for line in doubt.splitlines())
+        attributes["cannot_conclude"] = " ".join(f"{reason}." for reason in reasons)
     result = xr.Dataset(arrays, attrs=dict(observables.attrs) | attributes)
     return provenance.record(
         result,

@@ -272,7 +272,8 @@ def _in_si(chosen: Mapping[str, Channel], scales: Mapping[str, float]) -> dict[s
                     hint=f'a unit in the file, or --scale {channel.name}="1 {"nm" if unit == "m" else "deg"}" '
                     "where it has none",
                 )
-            without.append(f"{name} ({channel.name}: {stated})")
+            zero = ", and a zero that is not known" if name == "A0" else ""
+            without.append(f"{name} ({channel.name}: {stated}{zero})")
     if without:
         example = chosen[without[0].split()[0]].name
         warnings.warn(
@@ -415,7 +416,7 @@ def _check_probe(recording: Recording, dataset: xr.Dataset, probe: Probe) -> Non
 
 
 def _doubts(dataset: xr.Dataset, reading: Reading, vendor: Vendor) -> dict[int, str]:
-    """Return, by harmonic, why nothing can be concluded from it."""
+    """Return, by harmonic, why nothing can be concluded from it, one reason a line."""
     doubts: dict[int, str] = {}
     if not reading.corrected and "A0" in dataset:
         doubts[0] = (
@@ -434,8 +435,8 @@ def _doubts(dataset: xr.Dataset, reading: Reading, vendor: Vendor) -> dict[int, 
         )
         for n in harmonic_orders(dataset):
             if n != 1:
-                doubts[n] = f"{doubts[n]}. Also, {lever}" if n in doubts else lever
-    for reason in dict.fromkeys(doubts.values()):
+                doubts[n] = f"{doubts[n]}\n{lever}" if n in doubts else lever
+    for reason in dict.fromkeys(line for doubt in doubts.values() for line in doubt.splitlines()):
         warnings.warn(reason, DistortionWarning, stacklevel=2)
     return doubts
 

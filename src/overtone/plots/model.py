@@ -10,8 +10,9 @@ import numpy.typing as npt
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from overtone.contact.models import contact_model, force_harmonics
-from overtone.contact.models import force as model_force
+from overtone.contact.evaluate import force as model_force
+from overtone.contact.evaluate import force_harmonics
+from overtone.contact.models import contact_model
 from overtone.errors import ContactModelError
 
 _RECONSTRUCTED = 200  # harmonics behind the force curve: enough for the sharpest onset that a figure shows
