@@ -27,4 +27,4 @@ picture:  ## the picture of the README, made by the program
 	python docs/picture.py
 
 clean:  ## what tests and builds leave behind
-	rm -rf .numba_cache .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks build dist overtone-demo
+	rm -rf .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks build dist overtone-demo

@@ -21,10 +21,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from overtone.errors import ContactModelError
-from overtone.kernels import INNER, KERNEL
+from overtone.kernels import inner, kernel
 
 _LAWS = ("jkr", "maugis")
 
@@ -56,7 +55,7 @@ class _Curve(NamedTuple):
     """Radius of the attracted zone at the fold without contact."""
 
 
-@njit(**INNER)
+@inner
 def _contact_shapes(nu: float) -> tuple[float, float]:
     """Return ``sin(nu) cos(nu) - nu cos(2 nu)`` and ``nu sin(nu) + cos(nu) - 1``, by series where they cancel."""
     if nu > 0.5:
@@ -76,7 +75,7 @@ def _contact_shapes(nu: float) -> tuple[float, float]:
     return wide, narrow
 
 
-@njit(**INNER)
+@inner
 def _contact(lam: float, nu: float) -> tuple[float, float, float, float]:
     """Return rim radius c, indentation, its slope by nu over cos(nu), and force of Maugis's contact.
 
@@ -100,7 +99,7 @@ def _contact(lam: float, nu: float) -> tuple[float, float, float, float]:
     return c, ck * ck - 4.0 / 3.0 * lam * c * s, slope, force
 
 
-@njit(**INNER)
+@inner
 def _curve(lam: float) -> _Curve:
     """Return where a law folds and where contact begins."""
     if lam == 0.0:
@@ -124,7 +123,7 @@ def _curve(lam: float) -> _Curve:
     return _Curve(lam, fold, -reach - fold, -math.inf, high, rim)
 
 
-@njit(**KERNEL)
+@kernel
 def _curves(lam: npt.NDArray[np.float64], curves: npt.NDArray[np.float64]) -> None:
     """Fill the fields of a curve, a row for each Maugis parameter."""
     for i in range(lam.size):
@@ -134,13 +133,13 @@ def _curves(lam: npt.NDArray[np.float64], curves: npt.NDArray[np.float64]) -> No
         curves[i, 3], curves[i, 4], curves[i, 5] = onset, last, rim
 
 
-@njit(**INNER)
+@inner
 def _read(curves: npt.NDArray[np.float64], i: int) -> _Curve:
     """Return a row as a curve."""
     return _Curve(curves[i, 0], curves[i, 1], curves[i, 2], curves[i, 3], curves[i, 4], curves[i, 5])
 
 
-@njit(**INNER)
+@inner
 def _find_contact(curve: _Curve, indentation: float, guess: float) -> tuple[float, float]:
     """Return force and angle nu of Maugis's contact on the stable branch (Newton in a bracket)."""
     low, high = 0.0, curve.last
@@ -164,7 +163,7 @@ def _find_contact(curve: _Curve, indentation: float, guess: float) -> tuple[floa
     return force, nu
 
 
-@njit(**INNER)
+@inner
 def _branch(curve: _Curve, indentation: float, excess: float, guess: float) -> tuple[float, float]:
     """Return the force on the stable branch, and the angle nu to start the next search from.
 
@@ -190,7 +189,7 @@ def _branch(curve: _Curve, indentation: float, excess: float, guess: float) -> t
     return _find_contact(curve, indentation, guess)
 
 
-@njit(**KERNEL)
+@kernel
 def _forces(
     indentation: npt.NDArray[np.float64],
     curves: npt.NDArray[np.float64],
@@ -209,7 +208,7 @@ def _forces(
             force[i] = unit[i] * _branch(curve, x, x - curve.fold, 0.5 * curve.last)[0]
 
 
-@njit(**INNER)
+@inner
 def _angle_of_contact(lam: float, contact_radius: float) -> float:
     """Return nu of Maugis's contact of this radius (bisection: a falls as nu grows)."""
     low, high = 1e-12, 0.5 * math.pi
@@ -226,7 +225,7 @@ def _angle_of_contact(lam: float, contact_radius: float) -> float:
     return high
 
 
-@njit(**KERNEL)
+@kernel
 def _points(
     contact_radius: npt.NDArray[np.float64],
     lam: npt.NDArray[np.float64],
@@ -241,7 +240,7 @@ def _points(
         indentation[i], force[i] = length[i] * x, unit[i] * f
 
 
-@njit(**INNER)
+@inner
 def _panel(
     curve: _Curve,
     swing: float,
@@ -279,13 +278,13 @@ def _panel(
     return guess
 
 
-@njit(**INNER)
+@inner
 def _copy(source: npt.NDArray[np.float64], target: npt.NDArray[np.float64]) -> None:
     for n in range(source.shape[1]):
         target[0, n], target[1, n] = source[0, n], source[1, n]
 
 
-@njit(**INNER)
+@inner
 def _piece(
     curve: _Curve,
     swing: float,
@@ -338,7 +337,7 @@ def _piece(
     return guess
 
 
-@njit(**INNER)
+@inner
 def _angle(level: float, low: float, swing: float) -> float:
     """Return the angle phi from the upper turning point at which the tip is at an indentation, 0 to pi."""
     below = (level - low) / swing
@@ -347,7 +346,7 @@ def _angle(level: float, low: float, swing: float) -> float:
     return math.pi - 2.0 * math.asin(math.sqrt(max(1.0 - below, 0.0)))
 
 
-@njit(**KERNEL)
+@kernel
 def _harmonics(
     amplitude: npt.NDArray[np.float64],
     indentation: npt.NDArray[np.float64],

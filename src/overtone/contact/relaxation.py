@@ -40,10 +40,9 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from overtone.errors import ContactModelError
-from overtone.kernels import INNER, KERNEL
+from overtone.kernels import inner, kernel
 
 _Floats = npt.NDArray[np.float64]
 _Complex = npt.NDArray[np.complex128]
@@ -57,7 +56,7 @@ _FORGOTTEN = 100.0  # exp(-100) of a stress is left
 _SLOWEST, _FASTEST = 1e-12, 1e12  # 1/(w tau) beyond these differs from its limit by less than rounding
 
 
-@njit(**INNER)
+@inner
 def _sine_defect(angle: float) -> float:
     """Return ``angle - sin(angle)`` without cancellation."""
     if abs(angle) > 0.5:
@@ -71,7 +70,7 @@ def _sine_defect(angle: float) -> float:
     return total
 
 
-@njit(**INNER)
+@inner
 def _ramp_response(x: float) -> float:
     """Return ``1 - (1 + x) exp(-x)`` without cancellation, x >= 0."""
     if x > 0.5:
@@ -84,7 +83,7 @@ def _ramp_response(x: float) -> float:
     return total
 
 
-@njit(**INNER)
+@inner
 def _memory(p: float, rise_p: float, s: float, rise_s: float, rate: float) -> float:
     """Return ``int_s^p exp(-rate (p - q)) (-sin q) dq``, the part of Ting's integral that fades.
 
@@ -98,14 +97,14 @@ def _memory(p: float, rise_p: float, s: float, rise_s: float, rate: float) -> fl
     return total / (1.0 + rate * rate)
 
 
-@njit(**INNER)
+@inner
 def _rise(angle: float) -> float:
     """Return ``1 - cos(angle)``."""
     half = math.sin(0.5 * angle)
     return 2.0 * half * half
 
 
-@njit(**INNER)
+@inner
 def _release(s: float, rise_s: float, rate: float, excess: float, guess: float) -> float:
     """Return the phase p in (0, -s) at which the ring of contact made at s < 0 is released.
 
@@ -133,7 +132,7 @@ def _release(s: float, rise_s: float, rate: float, excess: float, guess: float) 
     return p
 
 
-@njit(**INNER)
+@inner
 def _contact_made(p: float, Delta: float, rate: float, excess: float) -> float:
     """Return ``1 - cos s`` of the ring that is released at p > 0; negative once contact is lost.
 
@@ -156,7 +155,7 @@ def _contact_made(p: float, Delta: float, rate: float, excess: float) -> float:
     return rise_s
 
 
-@njit(**INNER)
+@inner
 def _edges(near: int, far: int) -> _Floats:
     """Return edges of pieces of (0, 1) that halve towards 0 and towards 1."""
     edges = np.empty(near + far + 3)
@@ -168,13 +167,13 @@ def _edges(near: int, far: int) -> _Floats:
     return edges
 
 
-@njit(**INNER)
+@inner
 def _halvings(scale: float) -> int:
     """Return how often to halve to come down to 1/scale."""
     return min(_MOST_HALVINGS, math.ceil(math.log2(1.0 + scale)))
 
 
-@njit(**INNER)
+@inner
 def _reduced_force(psi: float, Delta: float, rate: float, excess: float) -> float:
     """Return the force at psi in (-pi, pi) in units of ``4/3 E_inf sqrt(R) A1^(3/2)``."""
     edge = 2.0 * Delta
@@ -204,7 +203,7 @@ def _reduced_force(psi: float, Delta: float, rate: float, excess: float) -> floa
     return reach * math.sqrt(reach) + excess * 3.0 * edge * math.sqrt(edge) * total
 
 
-@njit(**INNER)
+@inner
 def _reduced_harmonics(Delta: float, rate: float, excess: float, out: _Complex) -> None:
     """Fill ``f_n`` in units of ``4/3 E_inf sqrt(R) A1^(3/2)``."""
     n_max = out.shape[0] - 1
@@ -245,7 +244,7 @@ def _reduced_harmonics(Delta: float, rate: float, excess: float, out: _Complex) 
         scale = -scale
 
 
-@njit(**KERNEL)
+@kernel
 def _forces(Delta: _Floats, rate: _Floats, excess: _Floats, psi: _Floats, out: _Floats) -> None:
     """Fill the reduced force of every contact (rows) at every psi (columns)."""
     for i in range(Delta.shape[0]):
@@ -253,7 +252,7 @@ def _forces(Delta: _Floats, rate: _Floats, excess: _Floats, psi: _Floats, out: _
             out[i, j] = _reduced_force(psi[j], Delta[i], rate[i], excess[i]) if Delta[i] > 0.0 else 0.0
 
 
-@njit(**KERNEL)
+@kernel
 def _harmonics(Delta: _Floats, rate: _Floats, excess: _Floats, out: _Complex) -> None:
     """Fill the reduced harmonics of every contact (rows)."""
     for i in range(Delta.shape[0]):
@@ -263,7 +262,7 @@ def _harmonics(Delta: _Floats, rate: _Floats, excess: _Floats, out: _Complex) ->
             out[i] = 0.0
 
 
-@njit(**KERNEL)
+@kernel
 def _residues(Delta: _Floats, rate: _Floats, excess: _Floats, out: _Floats) -> None:
     """Fill the depth of the dent at the next contact after many equal cycles, in units of the indentation."""
     for i in range(Delta.shape[0]):

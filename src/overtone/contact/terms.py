@@ -14,9 +14,8 @@ import math
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
-from overtone.kernels import KERNEL
+from overtone.kernels import kernel
 
 # Shape of the adhesive force against the gap, in units of the force of adhesion.
 NO_ADHESION = 0
@@ -52,7 +51,7 @@ _SPHERE_SERIES = np.array([_series_coefficients(n, p) for p in (1.5, 0.5) for n 
 # --- laws -------------------------------------------------------------------------------------------------------
 
 
-@njit(**KERNEL)
+@kernel
 def power_force(gap: float, coefficient: float, exponent: float) -> float:
     """Return ``coefficient (-d)^p`` in contact, nothing outside [N]."""
     if gap >= 0.0:
@@ -62,13 +61,13 @@ def power_force(gap: float, coefficient: float, exponent: float) -> float:
     return float(coefficient * (-gap) ** exponent)
 
 
-@njit(**KERNEL)
+@kernel
 def sphere_force(gap: float, Lambda: float) -> float:
     """Return the Hertz force of a paraboloid, ``Lambda (-d)^(3/2)`` in contact [N]."""
     return power_force(gap, Lambda, 1.5)
 
 
-@njit(**KERNEL)
+@kernel
 def adhesion_shape(tail: int, gap: float, a0: float) -> float:
     """Return the attractive force in units of F_ad: 1 in contact, the tail outside."""
     if tail == NO_ADHESION:
@@ -86,7 +85,7 @@ def adhesion_shape(tail: int, gap: float, a0: float) -> float:
 # --- where contact is -------------------------------------------------------------------------------------------
 
 
-@njit(**KERNEL)
+@kernel
 def contact_angle(Delta: float) -> float:
     """Return ``c1 = arccos(1 - 2 Delta)`` without the cancellation of that form at small Delta."""
     if Delta <= 0.0:
@@ -96,7 +95,7 @@ def contact_angle(Delta: float) -> float:
     return 2.0 * math.asin(math.sqrt(Delta))
 
 
-@njit(**KERNEL)
+@kernel
 def _weight(order: int) -> float:
     """Return what turns ``int_0^pi f cos(n psi) dpsi`` into the n-th cosine coefficient in theta."""
     if order == 0:
@@ -107,7 +106,7 @@ def _weight(order: int) -> float:
 # --- powers of the indentation ----------------------------------------------------------------------------------
 
 
-@njit(**KERNEL)
+@kernel
 def _elliptic(m: float) -> tuple[float, float]:
     """Return the complete elliptic integrals K and E of parameter m < 1 (arithmetic-geometric mean)."""
     a, b, power, total = 1.0, math.sqrt(1.0 - m), 0.5, 0.5 * m
@@ -122,7 +121,7 @@ def _elliptic(m: float) -> tuple[float, float]:
     return K, K * (1.0 - total)
 
 
-@njit(**KERNEL)
+@kernel
 def _power_series(order: int, power: float, Delta: float) -> float:
     """Sum ``sqrt(pi) 2^p Gamma(p+1)/Gamma(p+3/2) Delta^(p+1/2) 2F1(1/2-n, 1/2+n; p+3/2; Delta)``."""
     term, total = 1.0, 1.0
@@ -135,7 +134,7 @@ def _power_series(order: int, power: float, Delta: float) -> float:
     return float(math.sqrt(math.pi) * 2.0**power * ratio * Delta ** (power + 0.5) * total)
 
 
-@njit(**KERNEL)
+@kernel
 def _power_by_quadrature(order: int, power: float, Delta: float) -> float:
     """Integrate ``(cos psi - u1)^p cos(n psi)`` over contact by the double exponential rule.
 
@@ -163,7 +162,7 @@ def _power_by_quadrature(order: int, power: float, Delta: float) -> float:
     return 0.5 * c1 * step * total
 
 
-@njit(**KERNEL)
+@kernel
 def _sphere_start(Delta: float) -> tuple[float, float, float, float]:
     """Return K_0 and K_1 of the powers 3/2 and 1/2 for Delta > 0.
 
@@ -195,7 +194,7 @@ def _sphere_start(Delta: float) -> tuple[float, float, float, float]:
     return K0, K1, root0, K0 + u1 * root0
 
 
-@njit(**KERNEL)
+@kernel
 def _fill_orders(first: float, second: float, power: float, u1: float, n_max: int, out: _Floats) -> None:
     """Fill ``out`` from its first two orders by the recurrence in n.
 
@@ -224,7 +223,7 @@ def _fill_orders(first: float, second: float, power: float, u1: float, n_max: in
         out[n] *= scale
 
 
-@njit(**KERNEL)
+@kernel
 def sphere_integrals(Delta: float, n_max: int, K: _Floats, dK: _Floats) -> None:
     """Fill K_n and dK_n/dDelta of ``int_0^c1 (cos psi - u1)^(3/2) cos(n psi) dpsi``, n = 0..n_max.
 
@@ -242,7 +241,7 @@ def sphere_integrals(Delta: float, n_max: int, K: _Floats, dK: _Floats) -> None:
         dK[n] *= 3.0
 
 
-@njit(**KERNEL)
+@kernel
 def _power_integral(order: int, power: float, Delta: float) -> float:
     """Return K_n of any power p >= 0 for Delta > 0."""
     if Delta < _WIDE_POWER:
@@ -250,7 +249,7 @@ def _power_integral(order: int, power: float, Delta: float) -> float:
     return _power_by_quadrature(order, power, Delta)
 
 
-@njit(**KERNEL)
+@kernel
 def _constant_integral(order: int, Delta: float) -> tuple[float, float]:
     """Return ``int_0^c1 cos(n psi) dpsi`` and its derivative by Delta, infinite at Delta = 0 and 1."""
     if Delta <= 0.0:
@@ -262,7 +261,7 @@ def _constant_integral(order: int, Delta: float) -> tuple[float, float]:
     return inside, 2.0 * math.cos(order * c1) / math.sin(c1)
 
 
-@njit(**KERNEL)
+@kernel
 def power_harmonics(
     amplitude: float, Delta: float, power: float, n_max: int, h: _Floats, dh: _Floats
 ) -> None:
@@ -290,7 +289,7 @@ def power_harmonics(
         dh[n] *= scale * _weight(n)
 
 
-@njit(**KERNEL)
+@kernel
 def sphere_harmonics(amplitude: float, Delta: float, n_max: int, h: _Floats, dh: _Floats) -> None:
     """Fill the harmonics of ``(-d)^(3/2)`` in contact and their derivative by Delta [m^1.5]."""
     sphere_integrals(Delta, n_max, h, dh)
@@ -303,7 +302,7 @@ def sphere_harmonics(amplitude: float, Delta: float, n_max: int, h: _Floats, dh:
 # --- adhesion ---------------------------------------------------------------------------------------------------
 
 
-@njit(**KERNEL)
+@kernel
 def adhesion_harmonics(
     tail: int, amplitude: float, Delta: float, a0: float, n_max: int, h: _Floats, dh: _Floats
 ) -> None:
@@ -327,7 +326,7 @@ def adhesion_harmonics(
         h[n], dh[n] = -_weight(n) * inside, -_weight(n) * slope
 
 
-@njit(**KERNEL)
+@kernel
 def linear_adhesion_harmonics(
     amplitude: float, Delta: float, a0: float, n_max: int, h: _Floats, dh: _Floats
 ) -> None:
@@ -353,7 +352,7 @@ def linear_adhesion_harmonics(
         dh[n] = -2.0 * _weight(n) * slope / ramp
 
 
-@njit(**KERNEL)
+@kernel
 def _ramp_integral(n: int, u2: float, c: float) -> float:
     """Return the antiderivative of ``(u2 - cos psi) cos(n psi)`` at psi = c."""
     if n == 0:
@@ -365,7 +364,7 @@ def _ramp_integral(n: int, u2: float, c: float) -> float:
     )
 
 
-@njit(**KERNEL)
+@kernel
 def _short_ramp(n: int, Delta: float, ramp: float, c1: float, c2: float) -> tuple[float, float]:
     """Integrate ``(u2 - cos psi) cos(n psi)`` and ``cos(n psi)`` over a ramp too short for a difference.
 
@@ -387,7 +386,7 @@ def _short_ramp(n: int, Delta: float, ramp: float, c1: float, c2: float) -> tupl
     return total, slope
 
 
-@njit(**KERNEL)
+@kernel
 def van_der_waals_harmonics(
     amplitude: float, Delta: float, a0: float, n_max: int, h: _Floats, dh: _Floats
 ) -> None:
@@ -441,7 +440,7 @@ def van_der_waals_harmonics(
         below, sine = sine, 2.0 * u1 * sine - below
 
 
-@njit(**KERNEL)
+@kernel
 def _tail_integrals(beta: float, t1: float, closeness: float) -> tuple[float, float, float]:
     """Return ``int_t1^inf dt / (beta + t^2)^k`` for k = 1, 2, 3, beta > -t1^2.
 
@@ -471,7 +470,7 @@ def _tail_integrals(beta: float, t1: float, closeness: float) -> tuple[float, fl
 # --- hysteresis -------------------------------------------------------------------------------------------------
 
 
-@njit(**KERNEL)
+@kernel
 def hysteresis_harmonics(
     amplitude: float,
     Delta: float,
@@ -507,14 +506,14 @@ def hysteresis_harmonics(
 # --- blocks -----------------------------------------------------------------------------------------------------
 
 
-@njit(**KERNEL)
+@kernel
 def power_block(amplitude: _Floats, Delta: _Floats, power: _Floats, h: _Floats, dh: _Floats) -> None:
     """Fill harmonics (point, n) of `power_harmonics` for every point."""
     for i in range(amplitude.shape[0]):
         power_harmonics(amplitude[i], Delta[i], power[i], h.shape[1] - 1, h[i], dh[i])
 
 
-@njit(**KERNEL)
+@kernel
 def adhesion_block(
     tail: int, amplitude: _Floats, Delta: _Floats, a0: _Floats, h: _Floats, dh: _Floats
 ) -> None:
@@ -523,7 +522,7 @@ def adhesion_block(
         adhesion_harmonics(tail, amplitude[i], Delta[i], a0[i], h.shape[1] - 1, h[i], dh[i])
 
 
-@njit(**KERNEL)
+@kernel
 def hysteresis_block(
     amplitude: _Floats,
     Delta: _Floats,

@@ -15,7 +15,6 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 import xarray as xr
-from numba import njit
 
 from overtone import provenance
 from overtone.blocks import run_blocks
@@ -32,7 +31,7 @@ from overtone.contact.terms import (
 )
 from overtone.errors import OvertoneError
 from overtone.harmonics import read_receptance, tip_receptance, to_observables
-from overtone.kernels import INNER, KERNEL
+from overtone.kernels import inner, kernel
 from overtone.probe import Probe, format_probe, required_radius
 from overtone.quantities import named_array
 
@@ -52,7 +51,7 @@ _Floats = npt.NDArray[np.float64]
 _Complex = npt.NDArray[np.complex128]
 
 
-@njit(**INNER)
+@inner
 def _gap(theta: float, g: float, amplitude: float, b: _Complex) -> tuple[float, float]:
     """Return the gap and its derivative by theta."""
     turn = complex(math.cos(theta), math.sin(theta))
@@ -64,7 +63,7 @@ def _gap(theta: float, g: float, amplitude: float, b: _Complex) -> tuple[float, 
     return d, slope
 
 
-@njit(**INNER)
+@inner
 def _crossing(level: float, inside: float, outside: float, g: float, amplitude: float, b: _Complex) -> float:
     """Return the phase between ``inside`` (gap below the level) and ``outside`` where the gap meets it."""
     if _gap(outside, g, amplitude, b)[0] <= level:
@@ -87,7 +86,7 @@ def _crossing(level: float, inside: float, outside: float, g: float, amplitude: 
     return x
 
 
-@njit(**INNER)
+@inner
 def _add_sample(
     theta: float,
     weight: float,
@@ -114,7 +113,7 @@ def _add_sample(
         f[n] += power
 
 
-@njit(**INNER)
+@inner
 def _force_harmonics(
     g: float,
     amplitude: float,
@@ -174,7 +173,7 @@ def _force_harmonics(
     return closest
 
 
-@njit(**INNER)
+@inner
 def _first_guess(
     indentation: float,
     amplitude: float,
@@ -199,7 +198,7 @@ def _first_guess(
     return size - drive_force, -balance.real * change / (size * 2.0 * amplitude)
 
 
-@njit(**INNER)
+@inner
 def _hold(
     amplitude: float,
     tail: int,
@@ -255,7 +254,7 @@ def _hold(
     return g, -closest, NOT_CONVERGED
 
 
-@njit(**KERNEL)
+@kernel
 def _hold_block(
     amplitude: float,
     tail: int,

@@ -25,7 +25,6 @@ import math
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from overtone.inversion.linear import (
     N_HARMONICS,
@@ -35,7 +34,7 @@ from overtone.inversion.linear import (
     stiffness,
     term_harmonics,
 )
-from overtone.kernels import INNER, KERNEL
+from overtone.kernels import inner, kernel
 
 STARTS: tuple[tuple[float, float, float], ...] = (
     (0.05e9, 10e-9, 20e-9),
@@ -57,7 +56,7 @@ _UNKNOWNS = 3
 _Floats = npt.NDArray[np.float64]
 
 
-@njit(**INNER)
+@inner
 def _evaluate(
     x: _Floats,
     observed: _Floats,
@@ -92,7 +91,7 @@ def _evaluate(
     return total
 
 
-@njit(**INNER)
+@inner
 def _solve(M: _Floats, b: _Floats, n: int, out: _Floats) -> bool:
     """Solve a small symmetric positive system by Cholesky; return False where it is not positive."""
     L = np.empty((_UNKNOWNS, _UNKNOWNS))
@@ -120,7 +119,7 @@ def _solve(M: _Floats, b: _Floats, n: int, out: _Floats) -> bool:
     return True
 
 
-@njit(**INNER)
+@inner
 def _descend(
     x: _Floats,
     observed: _Floats,
@@ -189,7 +188,7 @@ def _descend(
     return cost, False
 
 
-@njit(**INNER)
+@inner
 def _valley_floor(
     x: _Floats,
     observed: _Floats,
@@ -230,7 +229,7 @@ def _valley_floor(
     return slope
 
 
-@njit(**INNER)
+@inner
 def _follow_valley(
     x: _Floats,
     observed: _Floats,
@@ -274,7 +273,7 @@ def _follow_valley(
             break
 
 
-@njit(**INNER)
+@inner
 def _modulus_gain(J: _Floats, n: int, gain: _Floats) -> None:
     """Fill d ln E per relative error of each harmonic: the first row of the pseudo-inverse of J.
 
@@ -304,7 +303,7 @@ def _modulus_gain(J: _Floats, n: int, gain: _Floats) -> None:
         gain[i] = columns[n - 1, i]
 
 
-@njit(**KERNEL)
+@kernel
 def fit_pixels(
     observed: _Floats,
     orders: npt.NDArray[np.int64],

@@ -7,10 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from overtone.contact.terms import NO_ADHESION, adhesion_harmonics, sphere_harmonics
-from overtone.kernels import KERNEL
+from overtone.kernels import kernel
 
 N_HARMONICS = 3
 """Harmonics a fit uses at once: as many as it has unknowns with adhesion."""
@@ -33,7 +32,7 @@ class Contact(NamedTuple):
     """sqrt(R) [m^0.5]."""
 
 
-@njit(**KERNEL)
+@kernel
 def term_harmonics(
     contact: Contact, amplitude: float, Delta: float, orders: npt.NDArray[np.int64], work: _Floats
 ) -> None:
@@ -44,7 +43,7 @@ def term_harmonics(
         adhesion_harmonics(contact.tail, amplitude, Delta, contact.a0, n_max, work[2], work[3])
 
 
-@njit(**KERNEL)
+@kernel
 def stiffness(contact: Contact, modulus: float) -> tuple[float, float]:
     """Return Lambda [N/m^1.5] of a sample modulus and d ln Lambda / d ln E_s."""
     sample_compliance = contact.sample_factor / modulus
@@ -52,14 +51,14 @@ def stiffness(contact: Contact, modulus: float) -> tuple[float, float]:
     return 4.0 / 3.0 * E_star * contact.root_radius, sample_compliance * E_star
 
 
-@njit(**KERNEL)
+@kernel
 def sample_modulus(contact: Contact, Lambda: float) -> float:
     """Return the sample modulus of a Lambda, the inverse of `stiffness`; infinite beyond the tip's own."""
     sample_compliance = 4.0 / 3.0 * contact.root_radius / Lambda - contact.tip_compliance
     return contact.sample_factor / sample_compliance if sample_compliance > 0.0 else math.inf
 
 
-@njit(**KERNEL)
+@kernel
 def best_in_box(
     contact: Contact,
     aa: float,

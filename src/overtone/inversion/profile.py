@@ -12,7 +12,6 @@ import math
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from overtone.contact.terms import NO_ADHESION
 from overtone.inversion.linear import (
@@ -23,7 +22,7 @@ from overtone.inversion.linear import (
     stiffness,
     term_harmonics,
 )
-from overtone.kernels import INNER, KERNEL
+from overtone.kernels import inner, kernel
 
 CHI2_90 = 2.705543454095404
 CHI2_999 = 10.827566170662733
@@ -34,7 +33,7 @@ N_NODES = 120
 _Floats = npt.NDArray[np.float64]
 
 
-@njit(**INNER)
+@inner
 def _at_indentation(
     log_indentation: float,
     observed: _Floats,
@@ -66,7 +65,7 @@ def _at_indentation(
     return Lambda, variance, max(chi2, 0.0)
 
 
-@njit(**KERNEL)
+@kernel
 def modulus_range(
     observed: _Floats,
     whitening: _Floats,
