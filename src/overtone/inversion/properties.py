@@ -404,8 +404,3 @@ def _judge(
     status[outcome == least_squares.AT_BOUND] = AT_BOUND
     status[outcome == least_squares.STALLED] = NOT_CONVERGED
     return status
-
-
-def determined_share(properties: xr.Dataset) -> float:
-    """Return the share of pixels whose modulus the data determine."""
-    return float((properties["status"] == DETERMINED).mean())
