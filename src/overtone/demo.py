@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import xarray as xr
@@ -13,7 +14,7 @@ from overtone.contact.sample import sample
 from overtone.dynamics.steady import FOUND, hold_amplitude
 from overtone.instrument.noise import ORDINARY_NOISE, add_noise
 from overtone.instrument.phantom import POLYOLEFIN, POLYSTYRENE, blend
-from overtone.inversion.properties import map_energy, map_properties
+from overtone.inversion.properties import DETERMINED, HARMONIC_SETS, map_energy, map_properties
 from overtone.io.netcdf import save
 from overtone.probe import Probe
 from overtone.quantities import named_array
@@ -25,7 +26,6 @@ from overtone.units import format_quantity
 
 _POISSON_RATIO = 0.35
 _SETPOINT = 0.42
-_HARMONIC_SETS = ((0, 1, 2), (1, 2, 3))
 
 Progress = Callable[[str, int, int], None]
 
@@ -122,11 +122,11 @@ def run_demo(folder: str | Path, *, progress: Progress | None = None) -> Demo:
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     notify = progress or (lambda stage, done, count: None)
-    observables, truth = virtual_scan(progress=lambda done, count: notify("simulating", done, count))
+    observables, truth = virtual_scan(progress=partial(notify, "simulating"))
     probe = demo_probe()
     energies = map_energy(observables, probe)
     results: dict[str, xr.Dataset] = {}
-    for orders in _HARMONIC_SETS:
+    for orders in HARMONIC_SETS:
         label = "harmonics " + " ".join(map(str, orders))
         results[label] = map_properties(
             observables,
@@ -134,7 +134,7 @@ def run_demo(folder: str | Path, *, progress: Progress | None = None) -> Demo:
             model="dmt-linear",
             poisson_ratio=_POISSON_RATIO,
             harmonics=orders,
-            progress=lambda done, count, label=label: notify(label, done, count),  # type: ignore[misc]
+            progress=partial(notify, label),
         )
     materials = (POLYSTYRENE.name, POLYOLEFIN.name)
     report = Report(
@@ -181,7 +181,7 @@ def _verdicts(
     for label, result in results.items():
         for i, material in enumerate(materials):
             status = result["status"].values[truth["material"].values == i]
-            share = float((status == 0).mean())
+            share = float((status == DETERMINED).mean())
             verb = "determine" if share >= 0.5 else "do not determine"
             sentences.append(
                 f"{label.capitalize()} {verb} the modulus of {material} ({100 * share:.0f} % of its pixels)."

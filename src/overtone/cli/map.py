@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -73,7 +74,7 @@ def map_scan(
             harmonics,
             poisson_ratio,
             sigma,
-            lambda d, c: update("inverting", d, c),
+            partial(update, "inverting"),
         )
     if remark:
         observables = provenance.add_finding(observables, remark)
