@@ -13,7 +13,7 @@ from overtone.blocks import run_blocks
 from overtone.contact import terms
 from overtone.contact.sample import sample
 from overtone.demo import demo_probe, virtual_scan
-from overtone.dynamics.steady import hold_amplitude
+from overtone.dynamics.hold import hold_amplitude
 from overtone.harmonics import to_force_harmonics
 from overtone.inversion import least_squares
 from overtone.inversion.linear import Contact, stiffness

@@ -11,7 +11,8 @@ import xarray as xr
 
 from overtone import provenance
 from overtone.contact.sample import sample
-from overtone.dynamics.steady import FOUND, hold_amplitude
+from overtone.dynamics.balance import FOUND
+from overtone.dynamics.hold import hold_amplitude
 from overtone.instrument.noise import ORDINARY_NOISE, add_noise
 from overtone.instrument.phantom import POLYOLEFIN, POLYSTYRENE, blend
 from overtone.inversion.properties import DETERMINED, HARMONIC_SETS, map_energy, map_properties

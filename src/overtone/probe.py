@@ -16,6 +16,8 @@ from overtone.units import display_unit, parse_quantity
 
 DISPLACEMENT = "displacement"
 SLOPE = "slope"
+TIP = "tip"
+BASE = "base"
 
 
 def _quantity(unit: str, **options: Any) -> Any:
@@ -73,12 +75,17 @@ class Mode:
     slope_ratio : float
         s_j / s_1: slope at the laser spot per displacement at the tip, relative to the first mode.
         Used only with a detector of kind ``slope``.
+    base_participation : float
+        Gamma_j: deflection of the tip per motion of the base that enters this mode, from
+        ``q_j'' + w_j/Q_j q_j' + w_j^2 q_j = w_j^2/k_j F - Gamma_j y''``; 1 for a point mass on a spring.
+        Used only with a drive that moves the base.
     """
 
     stiffness: float = _quantity("N/m")
     frequency: float = _quantity("Hz")
     quality_factor: float = _quantity("1")
     slope_ratio: float = _quantity("1", default=1.0)
+    base_participation: float = _quantity("1", default=1.0)
 
     def __post_init__(self) -> None:
         _require_positive(self, "stiffness", "frequency", "quality_factor")
@@ -125,13 +132,19 @@ class Drive:
         Drive frequency [Hz].
     free_amplitude : float
         Amplitude A1far of the first harmonic far from the sample [m], as the detector reads it.
+    acts_on : str
+        ``tip`` (a force at the tip, as magnetic or photothermal drives nearly are) or ``base`` (a piezo
+        shakes the base, which moves the tip too). Far above Q = 1 both give the same motion.
     """
 
     frequency: float = _quantity("Hz")
     free_amplitude: float = _quantity("m")
+    acts_on: str = TIP
 
     def __post_init__(self) -> None:
         _require_positive(self, "frequency", "free_amplitude")
+        if self.acts_on not in (TIP, BASE):
+            raise ProbeError("unknown drive", expected=f"{TIP!r} or {BASE!r}", got=repr(self.acts_on))
 
 
 @dataclasses.dataclass(frozen=True)

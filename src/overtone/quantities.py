@@ -26,12 +26,18 @@ class Quantity:
     unit: str
     meaning: str
     kind: str
-    """``observable``, ``force``, ``energy``, ``property`` or ``quality``."""
+    """``observable``, ``motion``, ``force``, ``energy``, ``property`` or ``quality``."""
 
 
 _QUANTITIES = (
     Quantity("height", "h", "m", "topography as the feedback recorded it", "observable"),
     Quantity("A0", "A_0", "m", "mean deflection, zero far from the sample", "observable"),
+    Quantity("Z", "Z", "m", "height of the base: the gap of a lever at rest without force", "motion"),
+    Quantity("contact_time", "t_c T", "1", "share of a period in contact", "motion"),
+    Quantity("peak_force", "F_max", "N", "strongest repulsion in a cycle", "motion"),
+    Quantity("pull_force", "F_min", "N", "strongest attraction in a cycle, negative", "motion"),
+    Quantity("jump", "", "1", "whether the motion jumped to another branch since the height before", "motion"),
+    Quantity("stable", "", "1", "whether the motion persists when it is disturbed", "motion"),
     Quantity("F_cons", "F_cons", "N", "conservative force harmonic (cosine coefficient)", "force"),
     Quantity("F_diss", "F_diss", "N", "dissipative force harmonic (sine coefficient)", "force"),
     Quantity("dissipation", "E_dis", "J", "energy lost in the contact per cycle", "energy"),

@@ -8,7 +8,8 @@ from scipy.integrate import solve_ivp
 from overtone.contact.parameters import effective_modulus
 from overtone.contact.sample import Sample, sample
 from overtone.contact.terms import adhesion_shape, sphere_force
-from overtone.dynamics.steady import FOUND, NO_STATE, hold_amplitude
+from overtone.dynamics.balance import FOUND, NO_STATE
+from overtone.dynamics.hold import hold_amplitude
 from overtone.errors import OvertoneError
 from overtone.harmonics import energy, to_force_harmonics
 from overtone.probe import Cantilever, Detector, Drive, Mode, Probe, Tip

@@ -9,7 +9,7 @@ import xarray as xr
 from overtone import provenance
 from overtone.contact.sample import sample
 from overtone.demo import demo_probe, virtual_scan
-from overtone.dynamics.steady import hold_amplitude
+from overtone.dynamics.hold import hold_amplitude
 from overtone.errors import ContactModelError, InversionError, OvertoneError
 from overtone.harmonics import to_force_harmonics
 from overtone.inversion.properties import (

@@ -38,7 +38,7 @@ _WEIGHTS.setflags(write=False)
 _JKR_AREA = 6.0 ** (-2.0 / 3.0)
 
 
-class _Curve(NamedTuple):
+class Curve(NamedTuple):
     """A law in units of its own: what is needed to follow its stable branch."""
 
     lam: float
@@ -100,18 +100,18 @@ def _contact(lam: float, nu: float) -> tuple[float, float, float, float]:
 
 
 @inner
-def _curve(lam: float) -> _Curve:
+def _curve(lam: float) -> Curve:
     """Return where a law folds and where contact begins."""
     if lam == 0.0:
-        return _Curve(lam, 0.0, 0.0, -math.inf, 0.0, 0.0)
+        return Curve(lam, 0.0, 0.0, -math.inf, 0.0, 0.0)
     if lam == math.inf:
-        return _Curve(lam, -3.0 * _JKR_AREA, 3.0 * _JKR_AREA, -math.inf, 0.0, 0.0)
+        return Curve(lam, -3.0 * _JKR_AREA, 3.0 * _JKR_AREA, -math.inf, 0.0, 0.0)
     reach = 2.0 / (math.pi * lam)
     rim = 8.0 * lam / (3.0 * math.pi)
     high = 0.5 * math.pi
     if _contact(lam, high)[2] <= 0.0:  # contact begins on the stable branch; the fold is before it
         onset = _contact(lam, high)[1]
-        return _Curve(lam, -reach - 0.5 * rim * rim, 0.5 * rim * rim, onset, high, rim)
+        return Curve(lam, -reach - 0.5 * rim * rim, 0.5 * rim * rim, onset, high, rim)
     low = 0.1 / max(1.0, lam)
     for _ in range(_STEPS):
         middle = math.sqrt(low * high)
@@ -120,7 +120,7 @@ def _curve(lam: float) -> _Curve:
         else:
             high = middle
     fold = _contact(lam, high)[1]
-    return _Curve(lam, fold, -reach - fold, -math.inf, high, rim)
+    return Curve(lam, fold, -reach - fold, -math.inf, high, rim)
 
 
 @kernel
@@ -134,13 +134,13 @@ def _curves(lam: npt.NDArray[np.float64], curves: npt.NDArray[np.float64]) -> No
 
 
 @inner
-def _read(curves: npt.NDArray[np.float64], i: int) -> _Curve:
+def _read(curves: npt.NDArray[np.float64], i: int) -> Curve:
     """Return a row as a curve."""
-    return _Curve(curves[i, 0], curves[i, 1], curves[i, 2], curves[i, 3], curves[i, 4], curves[i, 5])
+    return Curve(curves[i, 0], curves[i, 1], curves[i, 2], curves[i, 3], curves[i, 4], curves[i, 5])
 
 
 @inner
-def _find_contact(curve: _Curve, indentation: float, guess: float) -> tuple[float, float]:
+def _find_contact(curve: Curve, indentation: float, guess: float) -> tuple[float, float]:
     """Return force and angle nu of Maugis's contact on the stable branch (Newton in a bracket)."""
     low, high = 0.0, curve.last
     nu, force = guess, 0.0
@@ -164,7 +164,7 @@ def _find_contact(curve: _Curve, indentation: float, guess: float) -> tuple[floa
 
 
 @inner
-def _branch(curve: _Curve, indentation: float, excess: float, guess: float) -> tuple[float, float]:
+def branch(curve: Curve, indentation: float, excess: float, guess: float) -> tuple[float, float]:
     """Return the force on the stable branch, and the angle nu to start the next search from.
 
     ``excess`` is the indentation above the fold, given apart because the root of it counts.
@@ -205,7 +205,7 @@ def _forces(
         limit = curve.fold + curve.width if approaching[i] else curve.fold
         force[i] = 0.0
         if x >= limit:
-            force[i] = unit[i] * _branch(curve, x, x - curve.fold, 0.5 * curve.last)[0]
+            force[i] = unit[i] * branch(curve, x, x - curve.fold, 0.5 * curve.last)[0]
 
 
 @inner
@@ -242,7 +242,7 @@ def _points(
 
 @inner
 def _panel(
-    curve: _Curve,
+    curve: Curve,
     swing: float,
     start: float,
     x0: float,
@@ -265,7 +265,7 @@ def _panel(
         s = middle + half * _NODES[i]
         step = s * s
         rise = swing * math.sin(0.5 * step) * math.sin(start + 0.5 * step)
-        force, guess = _branch(curve, x0 + rise, excess0 + rise, guess)
+        force, guess = branch(curve, x0 + rise, excess0 + rise, guess)
         weighted = force * 2.0 * s * half * _WEIGHTS[i]
         cosine, sine = math.cos(start + step), math.sin(start + step)
         c, d = 1.0, 0.0
@@ -286,7 +286,7 @@ def _copy(source: npt.NDArray[np.float64], target: npt.NDArray[np.float64]) -> N
 
 @inner
 def _piece(
-    curve: _Curve,
+    curve: Curve,
     swing: float,
     start: float,
     x0: float,
@@ -461,9 +461,29 @@ def _units(
 
 def _table(lam: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     """Return the curves of these Maugis parameters."""
-    curves = np.empty((lam.size, len(_Curve._fields)))
+    curves = np.empty((lam.size, len(Curve._fields)))
     _curves(lam, curves)
     return curves
+
+
+def jkr_row(effective_modulus: Any, radius: Any, work_of_adhesion: Any) -> npt.NDArray[np.float64]:
+    """Return the fields of the curve, its unit of length [m] and of force [N], last axis, for compiled laws."""
+    arrays = _material(effective_modulus, radius, work_of_adhesion)
+    return _row(arrays | {"range_of_attraction": np.zeros(())})
+
+
+def maugis_row(
+    effective_modulus: Any, radius: Any, work_of_adhesion: Any, range_of_attraction: Any
+) -> npt.NDArray[np.float64]:
+    """Return the same for a Maugis-Dugdale contact."""
+    arrays = _material(effective_modulus, radius, work_of_adhesion)
+    return _row(arrays | {"range_of_attraction": _range(range_of_attraction)})
+
+
+def _row(arrays: dict[str, npt.NDArray[np.float64]]) -> npt.NDArray[np.float64]:
+    shape, flat = _broadcast(arrays)
+    lam, length, unit = _units(*flat)
+    return np.concatenate([_table(lam), length[:, None], unit[:, None]], axis=1).reshape(*shape, -1)
 
 
 def _force(
@@ -472,13 +492,13 @@ def _force(
     range_of_attraction: npt.NDArray[np.float64],
     approaching: Any,
 ) -> npt.NDArray[np.float64]:
-    branch = np.asarray(approaching)
-    if branch.dtype != np.bool_:
-        raise ContactModelError("approaching is not a truth value", expected="bool", got=str(branch.dtype))
+    inwards = np.asarray(approaching)
+    if inwards.dtype != np.bool_:
+        raise ContactModelError("approaching is not a truth value", expected="bool", got=str(inwards.dtype))
     shape, flat = _broadcast(
         {
             "indentation": _checked("indentation", indentation, "m", -math.inf, open_end=True),
-            "approaching": branch,
+            "approaching": inwards,
             **material,
             "range_of_attraction": range_of_attraction,
         }

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from overtone.contact import adhesive, terms
 from overtone.contact import parameters as p
-from overtone.contact.blocks import (
+from overtone.contact.kinds import (
     Term,
     adhesion_term,
     branch_term,
@@ -60,6 +60,26 @@ class ContactModel:
     source: str
     tail: int | None = None
     invertible: bool = False
+
+    def table(self, values: Values) -> npt.NDArray[np.float64]:
+        """Return the law as a table for compiled code, last axes term and column (`overtone.contact.law`).
+
+        Raises
+        ------
+        ContactModelError
+            If a term has none: its force depends on more than gap, velocity and whether contact holds.
+        """
+        missing = [term.formula for term in self.terms if term.row is None]
+        if missing:
+            raise ContactModelError(
+                f"the motion over a sample of model {self.key!r} cannot be simulated",
+                expected="terms with a row for compiled code",
+                got=", ".join(missing),
+                hint="a model whose loss follows gap and velocity, such as dmt-viscous or hertz-viscous",
+            )
+        rows = [np.asarray(term.row(values)) for term in self.terms if term.row is not None]
+        shape = np.broadcast_shapes(*(row.shape for row in rows))
+        return np.ascontiguousarray(np.stack([np.broadcast_to(row, shape) for row in rows], axis=-2))
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -124,6 +144,14 @@ def _relaxing_sphere(
 def _jkr(values: Values) -> dict[str, Any]:
     work = values["adhesion"] / (1.5 * math.pi * values["radius"])
     return {"effective_modulus": _E_star(values), "radius": values["radius"], "work_of_adhesion": work}
+
+
+def _jkr_row(values: Values) -> Any:
+    return adhesive.jkr_row(**_jkr(values))
+
+
+def _maugis_row(values: Values) -> Any:
+    return adhesive.maugis_row(**_maugis(values))
 
 
 def _jkr_force(values: Values, gap: Any, approaching: Any) -> Any:
@@ -310,6 +338,7 @@ BUILT_IN = (
                 "JKR, F_ad = 3/2 pi w R",
                 _jkr_force,
                 _jkr_harmonics,
+                _jkr_row,
             ),
         ),
         unknowns=(p.MODULUS, p.ADHESION),
@@ -322,7 +351,9 @@ BUILT_IN = (
     ContactModel(
         key="maugis",
         title="Maugis-Dugdale: adhesion of finite range, between DMT and JKR",
-        terms=(branch_term("Maugis, w over a range of 2 a_0", _maugis_force, _maugis_harmonics),),
+        terms=(
+            branch_term("Maugis, w over a range of 2 a_0", _maugis_force, _maugis_harmonics, _maugis_row),
+        ),
         unknowns=(p.MODULUS, p.WORK_OF_ADHESION),
         given=(*_TIP, p.DISTANCE),
         assumptions="Constant adhesive stress over a range of 2 a0, so that hard samples give dmt-linear; small "

@@ -27,6 +27,7 @@ _SERIES_LIMIT = 0.1
 _EXTRA_ORDERS = 20  # above the highest order wanted, where the downward recurrence starts from nothing
 _UPWARD_LIMIT = -1.1  # below this u1 the recurrence in n runs downwards
 _WIDE_POWER = 0.5
+_POLYNOMIAL = 0.05
 _SHORT_RAMP = 1e-3  # range of the attraction over the amplitude below which differences would cancel
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(10)
@@ -68,18 +69,33 @@ def sphere_force(gap: float, Lambda: float) -> float:
 
 
 @kernel
-def adhesion_shape(tail: int, gap: float, a0: float) -> float:
-    """Return the attractive force in units of F_ad: 1 in contact, the tail outside."""
-    if tail == NO_ADHESION:
-        return 0.0
-    if gap <= 0.0:
-        return 1.0
-    if tail == CONTACT_ONLY:
-        return 0.0
+def tail_shape(tail: int, gap: float, a0: float) -> float:
+    """Return the attractive force outside contact (gap >= 0) in units of F_ad."""
     if tail == LINEAR_TAIL:
         return max(0.0, 1.0 - gap / (2.0 * a0))
-    ratio = a0 / (a0 + gap)
-    return ratio * ratio
+    if tail == VAN_DER_WAALS_TAIL:
+        ratio = a0 / (a0 + gap)
+        return ratio * ratio
+    return 0.0
+
+
+@kernel
+def tail_slope(tail: int, gap: float, a0: float) -> float:
+    """Return the derivative of `tail_shape` by the gap [1/m]."""
+    if tail == LINEAR_TAIL:
+        return -0.5 / a0 if gap < 2.0 * a0 else 0.0
+    if tail == VAN_DER_WAALS_TAIL:
+        ratio = a0 / (a0 + gap)
+        return -2.0 * ratio * ratio / (a0 + gap)
+    return 0.0
+
+
+@kernel
+def adhesion_shape(tail: int, gap: float, a0: float) -> float:
+    """Return the attractive force in units of F_ad: 1 in contact, the tail outside."""
+    if tail != NO_ADHESION and gap <= 0.0:
+        return 1.0
+    return tail_shape(tail, gap, a0)
 
 
 # --- where contact is -------------------------------------------------------------------------------------------
@@ -244,6 +260,16 @@ def sphere_integrals(Delta: float, n_max: int, K: _Floats, dK: _Floats) -> None:
 @kernel
 def _power_integral(order: int, power: float, Delta: float) -> float:
     """Return K_n of any power p >= 0 for Delta > 0."""
+    if (power == 1.0 or power == 2.0) and Delta > _POLYNOMIAL:  # in cos psi, whose terms no longer cancel
+        u1 = 1.0 - 2.0 * Delta
+        here = _constant_integral(order, Delta)[0]
+        below, above = _constant_integral(abs(order - 1), Delta)[0], _constant_integral(order + 1, Delta)[0]
+        if power == 1.0:
+            return 0.5 * (below + above) - u1 * here
+        outer = 0.25 * (
+            _constant_integral(abs(order - 2), Delta)[0] + _constant_integral(order + 2, Delta)[0]
+        )
+        return outer + (0.5 + u1 * u1) * here - u1 * (below + above)
     if Delta < _WIDE_POWER:
         return _power_series(order, power, Delta)
     return _power_by_quadrature(order, power, Delta)
@@ -279,6 +305,10 @@ def power_harmonics(
     elif power == 0.0:
         for n in range(n_max + 1):
             h[n], dh[n] = _constant_integral(n, Delta)
+    elif power == 1.0:
+        for n in range(n_max + 1):
+            h[n] = _power_integral(n, power, Delta)
+            dh[n] = 2.0 * _constant_integral(n, Delta)[0]
     else:
         for n in range(n_max + 1):
             h[n] = _power_integral(n, power, Delta)

@@ -1,16 +1,9 @@
-"""Steady states by harmonic balance: the periodic motion under the exact force, with its higher harmonics.
-
-At a fixed amplitude A1 the mean gap g is the only large unknown. On the motion
-``d(theta) = g + A1 cos theta + Re sum_{n>=2} b_n exp(i n theta)`` the force has harmonics f_n, the lever
-answers ``b_n = G_tip(n w) f_n``, and the drive force closes the balance: ``|A1/G_tip(w) - f_1| = F_dr``.
-The force is sampled by Gauss-Legendre pieces that end at contact, where it is not smooth, and that grow
-away from it, because the attraction decays over a0 while the motion spans hundreds of it.
-"""
+"""Every steady state at given heights: the branches of the first harmonic, refined with the higher ones."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -18,383 +11,363 @@ import xarray as xr
 
 from overtone import provenance
 from overtone.blocks import run_blocks
-from overtone.contact.parameters import effective_modulus
+from overtone.contact.law import Law
 from overtone.contact.sample import Sample
-from overtone.contact.terms import (
-    CONTACT_ONLY,
-    LINEAR_TAIL,
-    NO_ADHESION,
-    adhesion_harmonics,
-    adhesion_shape,
-    sphere_force,
-    sphere_harmonics,
+from overtone.dynamics.balance import (
+    EXTRAS,
+    FOUND,
+    HOLD_HEIGHT,
+    NO_STATE,
+    NOT_CONVERGED,
+    Lever,
+    balance,
+    balance_block,
 )
+from overtone.dynamics.folds import find_fold, walk_to_height
+from overtone.dynamics.manifold import Arc, arcs
+from overtone.dynamics.stability import is_stable
+from overtone.dynamics.states import Motions, sample_dims, states_dataset
+from overtone.dynamics.system import Laws, laws, setup
 from overtone.errors import OvertoneError
-from overtone.harmonics import read_receptance, tip_receptance, to_observables
-from overtone.kernels import inner, kernel
-from overtone.probe import Probe, format_probe, required_radius
+from overtone.probe import Probe, format_probe
 from overtone.quantities import named_array
 
-FOUND, NO_STATE, NOT_CONVERGED = 0, 1, 2
-_STATUS_FLAGS = {
-    "flag_values": [FOUND, NO_STATE, NOT_CONVERGED],
-    "flag_meanings": "found no_state not_converged",
-}
-
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(10)
-_CONTACT_NODES, _CONTACT_WEIGHTS = np.polynomial.legendre.leggauss(24)
-_WIDEST_PIECE = 6.0  # phase of the highest harmonic that one piece of ten nodes spans [rad]
-_ITERATIONS = 60
-_GAP_TOLERANCE = 1e-18
+_BLOCK = 16  # states a thread takes at a time
+_NEAR = 0.1  # of the free amplitude: folds this far outside the heights wanted are looked for
+_SAME = 1e-9  # of the free amplitude: two states nearer than this are one
 
 _Floats = npt.NDArray[np.float64]
 _Complex = npt.NDArray[np.complex128]
 
 
-@inner
-def _gap(theta: float, g: float, amplitude: float, b: _Complex) -> tuple[float, float]:
-    """Return the gap and its derivative by theta."""
-    turn = complex(math.cos(theta), math.sin(theta))
-    d, slope, power = g + amplitude * turn.real, -amplitude * turn.imag, turn
-    for n in range(2, b.shape[0]):
-        power *= turn
-        d += b[n].real * power.real - b[n].imag * power.imag
-        slope -= n * (b[n].real * power.imag + b[n].imag * power.real)
-    return d, slope
+class Fold(NamedTuple):
+    """Where two branches meet and end."""
+
+    x: _Floats
+    b: _Complex
 
 
-@inner
-def _crossing(level: float, inside: float, outside: float, g: float, amplitude: float, b: _Complex) -> float:
-    """Return the phase between ``inside`` (gap below the level) and ``outside`` where the gap meets it."""
-    if _gap(outside, g, amplitude, b)[0] <= level:
-        return outside
-    low, high = inside, outside
-    x = 0.5 * (low + high)
-    for _ in range(80):
-        d, slope = _gap(x, g, amplitude, b)
-        if d < level:
-            low = x
-        else:
-            high = x
-        step = (d - level) / slope if slope != 0.0 else math.inf
-        guess = x - step
-        if not min(low, high) < guess < max(low, high):
-            guess = 0.5 * (low + high)
-        if abs(guess - x) < 1e-15:
-            return guess
-        x = guess
-    return x
+class Branch(NamedTuple):
+    """An arc of the first harmonic with the folds of the full motion at its ends, None where it has none."""
 
+    arc: Arc
+    low: Fold | None
+    high: Fold | None
+    sign: float
+    """Of the determinant of the balance, which turns at a fold."""
 
-@inner
-def _add_sample(
-    theta: float,
-    weight: float,
-    g: float,
-    amplitude: float,
-    b: _Complex,
-    tail: int,
-    Lambda: float,
-    adhesion: float,
-    a0: float,
-    f: _Complex,
-) -> None:
-    """Add the force at one phase to the harmonics."""
-    turn = complex(math.cos(theta), math.sin(theta))
-    d, power = g + amplitude * turn.real, turn
-    for n in range(2, b.shape[0]):
-        power *= turn
-        d += b[n].real * power.real - b[n].imag * power.imag
-    force = (sphere_force(d, Lambda) - adhesion * adhesion_shape(tail, d, a0)) * weight / math.pi
-    f[0] += 0.5 * force
-    back, power = turn.conjugate(), complex(force, 0.0)
-    for n in range(1, f.shape[0]):
-        power *= back
-        f[n] += power
-
-
-@inner
-def _force_harmonics(
-    g: float,
-    amplitude: float,
-    b: _Complex,
-    tail: int,
-    Lambda: float,
-    adhesion: float,
-    a0: float,
-    f: _Complex,
-) -> float:
-    """Fill the force harmonics on the motion; return the smallest gap."""
-    f[:] = 0.0
-    bottom = math.pi
-    for _ in range(3):
-        h = 1e-5
-        _, left = _gap(bottom - h, g, amplitude, b)
-        _, right = _gap(bottom + h, g, amplitude, b)
-        if right > left:
-            bottom -= 0.5 * (left + right) / ((right - left) / (2.0 * h))
-    closest, _ = _gap(bottom, g, amplitude, b)
-    for side in (-1.0, 1.0):
-        far = bottom + side * math.pi
-        start = bottom
-        if closest < 0.0:
-            start = _crossing(0.0, bottom, far, g, amplitude, b)
-            reach = start - bottom
-            # theta = start - reach s^2 turns the (-d)^(3/2) onset of contact into a smooth s^3
-            for k in range(_CONTACT_NODES.shape[0]):
-                s = 0.5 * (1.0 + _CONTACT_NODES[k])
-                weight = _CONTACT_WEIGHTS[k] * abs(reach) * s
-                theta = start - reach * s * s
-                _add_sample(theta, weight, g, amplitude, b, tail, Lambda, adhesion, a0, f)
-        if adhesion == 0.0 or tail == CONTACT_ONLY or start == far:
-            continue
-        end = far
-        if tail == LINEAR_TAIL:
-            if closest >= 2.0 * a0:
-                continue
-            end = _crossing(2.0 * a0, start, far, g, amplitude, b)
-        _, slope = _gap(start, g, amplitude, b)
-        # first piece: where the gap has grown by about a0, linearly from contact or quadratically from the bottom
-        width = math.sqrt(2.0 * (a0 + max(closest, 0.0)) / amplitude)
-        if closest < 0.0:
-            width = min(width, a0 / max(abs(slope), 1e-300))
-        widest = _WIDEST_PIECE / max(f.shape[0] - 1, 10)
-        left_edge = start
-        while left_edge != end:
-            right_edge = left_edge + side * min(width, widest)
-            if side * (right_edge - end) > -1e-12:
-                right_edge = end
-            half, middle = 0.5 * (right_edge - left_edge), 0.5 * (right_edge + left_edge)
-            for k in range(_NODES.shape[0]):
-                theta = middle + half * _NODES[k]
-                _add_sample(theta, abs(half) * _WEIGHTS[k], g, amplitude, b, tail, Lambda, adhesion, a0, f)
-            left_edge = right_edge
-            width *= 2.0
-    return closest
-
-
-@inner
-def _first_guess(
-    indentation: float,
-    amplitude: float,
-    tail: int,
-    Lambda: float,
-    adhesion: float,
-    a0: float,
-    receptance: complex,
-    drive_force: float,
-    work: _Floats,
-) -> tuple[float, float]:
-    """Return ``|A1/G - f_1| - F_dr`` and its slope by indentation from the closed form of a bare cosine."""
-    Delta = indentation / (2.0 * amplitude)
-    sphere_harmonics(amplitude, Delta, 1, work[0], work[1])
-    force, change = Lambda * work[0, 1], Lambda * work[1, 1]
-    if tail != NO_ADHESION:
-        adhesion_harmonics(tail, amplitude, Delta, a0, 1, work[2], work[3])
-        force += adhesion * work[2, 1]
-        change += adhesion * work[3, 1]
-    balance = amplitude / receptance - force
-    size = abs(balance)
-    return size - drive_force, -balance.real * change / (size * 2.0 * amplitude)
-
-
-@inner
-def _hold(
-    amplitude: float,
-    tail: int,
-    Lambda: float,
-    adhesion: float,
-    a0: float,
-    receptance: _Complex,
-    drive_force: float,
-    f: _Complex,
-) -> tuple[float, float, int]:
-    """Find the repulsive state at a fixed amplitude: the balance of largest indentation.
-
-    Fill f with the force harmonics; return the mean gap, the indentation and a status.
-    """
-    work = np.empty((4, 2))
-    arguments = (amplitude, tail, Lambda, adhesion, a0, receptance[1], drive_force, work)
-    deep = 1.98 * amplitude
-    shallow = deep
-    found = False
-    if _first_guess(deep, *arguments)[0] > 0.0:
-        while shallow > 1e-6 * amplitude:
-            shallow = 0.8 * deep
-            if _first_guess(shallow, *arguments)[0] < 0.0:
-                found = True
-                break
-            deep = shallow
-    if not found:
-        return math.nan, math.nan, NO_STATE
-    for _ in range(40):
-        middle = 0.5 * (deep + shallow)
-        if _first_guess(middle, *arguments)[0] > 0.0:
-            deep = middle
-        else:
-            shallow = middle
-    g = amplitude - 0.5 * (deep + shallow)
-    b = np.zeros(f.shape[0], np.complex128)
-    closest = 0.0
-    for _ in range(_ITERATIONS):
-        closest = _force_harmonics(g, amplitude, b, tail, Lambda, adhesion, a0, f)
-        change = 0.0
-        for n in range(2, f.shape[0]):
-            new = receptance[n] * f[n]
-            change = max(change, abs(new - b[n]))
-            b[n] = new
-        off = abs(amplitude / receptance[1] - f[1]) - drive_force
-        depth = amplitude - g
-        _, slope = _first_guess(depth, *arguments)
-        step = off / slope if slope > 0.0 else math.copysign(0.1 * depth, off)
-        step = min(max(step, -0.2 * depth), 0.2 * depth)
-        g += step
-        if abs(step) < _GAP_TOLERANCE and change < _GAP_TOLERANCE:
-            return g, -closest, FOUND
-    return g, -closest, NOT_CONVERGED
-
-
-@kernel
-def _hold_block(
-    amplitude: float,
-    tail: int,
-    Lambda: _Floats,
-    adhesion: _Floats,
-    a0: _Floats,
-    receptance: _Complex,
-    drive_force: float,
-    force: _Complex,
-    gap: _Floats,
-    indentation: _Floats,
-    status: npt.NDArray[np.int8],
-) -> None:
-    for pixel in range(Lambda.shape[0]):
-        gap[pixel], indentation[pixel], status[pixel] = _hold(
-            amplitude, tail, Lambda[pixel], adhesion[pixel], a0[pixel], receptance, drive_force, force[pixel]
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Lowest and highest height [m]."""
+        return (
+            float(self.low.x[3]) if self.low else float(self.arc.height[0]),
+            float(self.high.x[3]) if self.high else float(self.arc.height[-1]),
         )
 
 
-def hold_amplitude(
-    probe: Probe,
-    sample: Sample,
-    *,
-    setpoint: float,
-    dims: tuple[str, ...] | None = None,
-    n_max: int = 10,
-    keep: int = 3,
-    progress: Callable[[int, int], None] | None = None,
-) -> xr.Dataset:
-    """Return the repulsive steady state at a fixed amplitude, as a feedback loop holds it.
+def branches(all_laws: Laws, point: int, lever: Lever, heights: tuple[float, float]) -> list[Branch]:
+    """Return the branches that reach into a range of heights [m], the highest first."""
+    law = all_laws.at(point)
+    free = abs(lever.tip[1]) * lever.force
+    found = arcs(law, lever, heights, float(all_laws.pull[point]))
+    margin = _NEAR * free
+    folds: dict[tuple[float, float], Fold | None] = {}
+    result = []
+    for arc in found:
+        if arc.height[0] > heights[1] + margin or arc.height[-1] < heights[0] - margin:
+            continue
+        ends: list[Fold | None] = []
+        for last in (False, True):
+            k = -1 if last else 0
+            key = (float(arc.height[k]), float(arc.amplitude[k]))
+            if not arc.folds[last]:
+                ends.append(None)
+                continue
+            if key not in folds:
+                folds[key] = _fold(arc, last, lever, law)
+            ends.append(folds[key])
+        branch = Branch(arc, ends[0], ends[1], 0.0)
+        result.append(branch._replace(sign=_sign(branch, lever, law)))
+    return result
 
-    Parameters
-    ----------
-    probe : Probe
-        Any number of modes, any drive frequency.
-    sample : Sample
-        A material, or arrays of them.
-    setpoint : float
-        A1 / A1far, between 0 and 1.
-    dims : tuple of str, optional
-        Dimension names of the sample's arrays; ``("y", "x")`` for two dimensions unless given.
-    n_max : int
-        Harmonics of the motion that act back on the force; 10 gives A2 to 5e-5, 20 to 2e-6.
-    keep : int
-        Harmonics of the motion in the result.
-    progress : callable, optional
-        Called with (states done, states in all).
 
-    Returns
-    -------
-    Dataset
-        ``A0 .. A<keep>`` and phases as the detector reads them, ``indentation`` [m] (maximum indentation
-        on the full motion), ``Z`` [m] (height of the base that holds the amplitude), ``F_cons`` and
-        ``F_diss`` [N] of the force itself, and ``state`` (found, no_state, not_converged). A state that is
-        not found is NaN.
+def _sign(branch: Branch, lever: Lever, law: Law) -> float:
+    """Return the sign of the determinant in the middle of a branch, far from where another could be meant."""
+    middle = 0.5 * sum(branch.ends)
+    x = _seeds(branch, np.array([middle]))[0]
+    b, f, extras = np.zeros_like(lever.tip), np.empty_like(lever.tip), np.empty(EXTRAS)
+    _, sign, _ = balance(x, b, np.array([HOLD_HEIGHT, middle, 0.0, 0.0]), lever, law, f, extras)
+    return float(sign)
+
+
+def _fold(arc: Arc, last: bool, lever: Lever, law: Law) -> Fold | None:
+    """Find the fold of the full motion next to the end of an arc."""
+    k, inner = (-1, -2) if last else (0, 1)
+    along = np.array([arc.gap[inner] - arc.gap[k], arc.amplitude[inner] - arc.amplitude[k]])
+    step = float(np.hypot(*along))
+    if step == 0.0:
+        return None
+    along /= step
+    x = np.array([arc.gap[k], arc.amplitude[k], arc.phase[k], arc.height[k]])
+    b, f, extras = np.zeros_like(lever.tip), np.empty_like(lever.tip), np.empty(EXTRAS)
+    status = find_fold(x, b, along, min(step, 0.01 * arc.amplitude[k]), last, lever, law, f, extras)
+    return Fold(x, b) if status == FOUND else None
+
+
+def states_on(found: Sequence[Branch], heights: _Floats, lever: Lever, law: Law) -> Motions:
+    """Return the states (height, branch)."""
+    states = Motions.missing((heights.size, len(found)), lever.tip.size)
+    inside = np.zeros(states.status.shape, bool)
+    for j, branch in enumerate(found):
+        low, high = branch.ends
+        inside[:, j] = (heights >= low) & (heights <= high)
+        states.x[inside[:, j], j] = _seeds(branch, heights[inside[:, j]])
+    sign = _solve(states, inside, heights, lever, law)
+    free = abs(lever.tip[1]) * lever.force
+    for j, branch in enumerate(found):
+        near = _on_branch(branch, states.x[:, j], sign[:, j], _seeds(branch, heights), free)
+        wrong = inside[:, j] & ((states.status[:, j] != FOUND) | ~near)
+        states.status[wrong, j] = NOT_CONVERGED
+        for i in np.flatnonzero(wrong):
+            _walk(states.at((slice(None), j)), int(i), heights, branch, lever, law, free)
+    _drop_repeated(states, free)
+    return states
+
+
+def _solve(
+    states: Motions, where: npt.NDArray[np.bool_], heights: _Floats, lever: Lever, law: Law
+) -> _Floats:
+    """Solve the balance at the heights (height, branch) where wanted, in place and on all cores; return signs."""
+    sign = np.zeros(where.shape)
+    some = states.at(where)
+    held = np.zeros((len(some.status), 4))
+    held[:, 0], held[:, 1] = HOLD_HEIGHT, np.broadcast_to(heights[:, None], where.shape)[where]
+    signs = np.zeros(len(held))
+
+    def block(part: slice) -> None:
+        x, b, f, extras, status = some.at(part)
+        balance_block(x, b, held[part], lever, law, f, extras, status, signs[part])
+
+    run_blocks(block, len(held), _BLOCK)
+    states.put(where, some)
+    sign[where] = signs
+    return sign
+
+
+def _seeds(branch: Branch, heights: _Floats) -> _Floats:
+    """Return states (height, 4) on the arc of a branch, its ends stretched to the folds of the full motion.
+
+    Next to a fold a state changes as the root of the distance to it, so the arc is read over an angle.
+    """
+    arc, (low, high) = branch.arc, branch.ends
+    span = max(high - low, 1e-300)
+
+    def angle(fraction: _Floats) -> _Floats:
+        return np.asarray(np.arcsin(np.sqrt(np.clip(fraction, 0.0, 1.0))))
+
+    own = angle((arc.height - arc.height[0]) / (arc.height[-1] - arc.height[0]))
+    wanted = angle((heights - low) / span)
+    x = np.stack([np.interp(wanted, own, y) for y in (arc.gap, arc.amplitude, arc.phase)], axis=1)
+    return np.concatenate([x, heights[:, None]], axis=1)
+
+
+def _on_branch(
+    branch: Branch, x: _Floats, sign: _Floats, seeds: _Floats, free: float
+) -> npt.NDArray[np.bool_]:
+    """Return whether states lie on a branch: near where they began, and not beyond a fold, where the sign turns."""
+    near = np.abs(x[..., :2] - seeds[..., :2]).max(axis=-1) < 0.05 * free + 0.3 * seeds[..., 1]
+    return np.asarray(near & (sign == branch.sign))
+
+
+def _walk(
+    states: Motions, i: int, heights: _Floats, branch: Branch, lever: Lever, law: Law, free: float
+) -> None:
+    """Find a state that was missed by stepping to it along the branch, from a neighbour or a fold, in place."""
+    starts = [(fold.x, fold.b) for fold in (branch.low, branch.high) if fold is not None]
+    good = np.flatnonzero(states.status == FOUND)
+    if good.size:
+        near = good[np.argmin(np.abs(heights[good] - heights[i]))]
+        starts.append((states.x[near], states.b[near]))
+    starts.sort(key=lambda start: abs(float(start[0][3]) - heights[i]))
+    seed = _seeds(branch, heights[i : i + 1])[0]
+    for start in starts:
+        x, b = start[0].copy(), start[1].copy()
+        towards = seed[:2] - x[:2]
+        length = float(np.hypot(*towards))
+        if not length > 0.0:
+            continue
+        along, height = towards / length, float(heights[i])
+        reached, sign = walk_to_height(x, b, along, length, height, lever, law, states.f[i], states.extras[i])
+        if reached == FOUND and _on_branch(branch, x, np.array(sign), seed, free):
+            states.x[i], states.b[i], states.status[i] = x, b, FOUND
+            return
+
+
+def _drop_repeated(states: Motions, free: float) -> None:
+    """Leave a state out where an earlier branch has it too."""
+    status, x = states.status, states.x
+    for i in range(status.shape[1]):
+        for j in range(i + 1, status.shape[1]):
+            both = (status[:, i] == FOUND) & (status[:, j] == FOUND)
+            status[both & (np.abs(x[:, i, :2] - x[:, j, :2]).max(axis=1) < _SAME * free), j] = NO_STATE
+
+
+def checked_heights(z: Any) -> _Floats:
+    """Return heights as an array of one dimension.
 
     Raises
     ------
     OvertoneError
-        If the set-point is not between 0 and 1, or the probe has no tip radius.
+        If there are none, or if one is not a finite number.
+    """
+    heights = np.atleast_1d(np.asarray(z, dtype=float))
+    if heights.ndim != 1 or heights.size == 0:
+        raise OvertoneError(
+            "no heights", expected="one or more values of Z in a row [m]", got=str(heights.shape)
+        )
+    if not np.isfinite(heights).all():
+        raise OvertoneError("heights are not finite", got=str(heights[~np.isfinite(heights)][0]))
+    return heights
+
+
+def check_range(heights: _Floats, probe: Probe) -> None:
+    """Refuse heights that are metres in nanometres or the like.
+
+    Raises
+    ------
+    OvertoneError
+        If a height is beyond a thousand free amplitudes.
+    """
+    reach = 1000.0 * probe.drive.free_amplitude
+    if (np.abs(heights) > reach).any():
+        raise OvertoneError(
+            "heights are out of reach",
+            expected=f"values of Z within {reach * 1e6:.3g} um of the surface, a thousand free amplitudes",
+            got=f"{heights[np.argmax(np.abs(heights))]:g} m",
+            hint="Z in metres: 80e-9 for 80 nm",
+        )
+
+
+def steady_states(
+    probe: Probe | Sequence[Probe],
+    sample: Sample,
+    *,
+    z: Any,
+    n_max: int = 10,
+    keep: int = 3,
+    dims: tuple[str, ...] | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> xr.Dataset:
+    """Return every steady state at given heights: all branches, stable and unstable.
+
+    Parameters
+    ----------
+    probe : Probe or sequence of Probe
+        Any number of modes, any drive frequency, driven at tip or base. A sequence adds a first dimension
+        ``probe``.
+    sample : Sample
+        A material of any model that can be simulated, or arrays of materials.
+    z : array (z,)
+        Heights Z of the base above the surface [m]: the gap of a lever at rest that feels no force.
+    n_max : int
+        Harmonics of the motion that act back on the force; 10 gives A2 to 5e-5 and A3 to 1e-4, 20 to 2e-6.
+    keep : int
+        Harmonics in the result.
+    dims : tuple of str, optional
+        Dimension names of the sample's arrays.
+    progress : callable, optional
+        Called with (materials done, materials in all).
+
+    Returns
+    -------
+    Dataset
+        Over the dimensions of the sample, ``z`` and ``branch``: observables as the detector reads them,
+        ``F_cons`` and ``F_diss`` [N], ``indentation`` [m], ``contact_time`` (share of a period),
+        ``peak_force``, ``pull_force`` [N], ``dissipation``, ``virial`` [J], ``stable`` and ``state``. A branch
+        is a stretch between two folds; where it does not exist ``state`` is ``no_state`` and the rest NaN.
+        ``not_converged`` and ``touches_more_than_once`` say why a state is missing that ought to be there.
+
+    Raises
+    ------
+    OvertoneError
+        If there are no heights, if one is not finite or out of reach, or n_max or keep are out of range.
+    ContactModelError
+        If the model's force cannot be followed (a relaxing solid).
 
     Notes
     -----
-    Conservative force laws. Of several coexisting states the one of largest indentation is taken. Assumes
-    that the drive acts on the tip through the first mode, ``F_dr = A1far / |G_read(w)|`` there.
+    States with the period of the drive that touch the surface once a period. Branches are found from the first
+    harmonic, on a grid of amplitude and closest gap that is a few per cent wide, and refined with the higher
+    ones; a branch that owes its existence to higher harmonics, or a pair of folds nearer to each other than
+    the grid, may be missed, and so may small amplitudes in deep contact of levers of low Q.
+
+    Sources: theory of harmonic balance as in Shaik, Reifenberger and Raman, Nanotechnology 31 (2020) 455502,
+    eqs 1 to 5, with every harmonic of the motion kept instead of eq 10.
+
+    Examples
+    --------
+    >>> import overtone as ot
+    >>> probe = ot.Probe.simple(stiffness=26, frequency=303e3, quality_factor=456, radius=10e-9,
+    ...                         drive_frequency=303e3, free_amplitude=85e-9)
+    >>> states = steady_states(probe, ot.sample("dmt", modulus=1e9, poisson_ratio=0.3, adhesion=20e-9), z=78e-9)
+    >>> [round(float(A) * 1e9, 2) for A in states.A1.squeeze("z")]
+    [79.68, 83.05, 81.94]
+    >>> states.stable.values.ravel().tolist()
+    [True, True, False]
     """
-    if not 0.0 < setpoint < 1.0:
-        raise OvertoneError("the set-point is out of reach", expected="0 < A1/A1far < 1", got=str(setpoint))
-    radius = required_radius(probe)
-    tail = _tail(sample)
-    shape = sample.shape
-    dims = dims or (("y", "x") if len(shape) == 2 else tuple(f"dim_{i}" for i in range(len(shape))))
-    E_star = effective_modulus(
-        sample.values["modulus"], sample.values["poisson_ratio"], probe.tip.modulus, probe.tip.poisson_ratio
-    )
-    Lambda = np.ascontiguousarray((4.0 / 3.0 * E_star * math.sqrt(radius)).ravel())
-    none = np.zeros(shape)
-    adhesion = np.ascontiguousarray(sample.values.get("adhesion", none).ravel())
-    a0 = np.ascontiguousarray(sample.values.get("intermolecular_distance", none + 1.0).ravel())
-    amplitude = setpoint * probe.drive.free_amplitude
-    frequencies = np.arange(n_max + 1) * probe.drive.frequency
-    receptance = tip_receptance(probe.cantilever, frequencies)
-    # A1 is what the detector reads; near resonance it is the motion of the tip to a part in ten thousand
-    receptance[1] = read_receptance(probe, probe.drive.frequency)
-    drive_force = probe.drive.free_amplitude / abs(receptance[1])
-    count = Lambda.size
-    force = np.zeros((count, n_max + 1), complex)
-    gap, indentation = np.empty(count), np.empty(count)
-    status = np.empty(count, np.int8)
-
-    def run(block: slice) -> None:
-        _hold_block(
-            amplitude,
-            tail,
-            Lambda[block],
-            adhesion[block],
-            a0[block],
-            receptance,
-            drive_force,
-            force[block],
-            gap[block],
-            indentation[block],
-            status[block],
-        )
-
-    run_blocks(run, count, 256, progress)
-    lost = status != FOUND
-    force[lost], gap[lost], indentation[lost] = math.nan, math.nan, math.nan
-    harmonic = xr.DataArray(np.arange(n_max + 1), dims="harmonic")
-    coords = {"harmonic": harmonic}
-    spectrum = np.moveaxis(force, -1, 0).reshape((n_max + 1, *shape))
-    forces = xr.Dataset(
-        {
-            "F_cons": named_array("F_cons", spectrum.real, ("harmonic", *dims), coords),
-            "F_diss": named_array("F_diss", -spectrum.imag, ("harmonic", *dims), coords),
-            "A1": named_array("A1", np.where(lost, math.nan, amplitude).reshape(shape), dims),
-        }
-    )
-    states = to_observables(forces.sel(harmonic=slice(0, keep)), probe)
-    mean = receptance[0].real * force[:, 0].real
-    states["indentation"] = named_array("indentation", indentation.reshape(shape), dims)
-    states["Z"] = (dims, (gap - mean).reshape(shape), {"units": "m", "long_name": "height of the base"})
-    states["state"] = (dims, status.reshape(shape), dict(_STATUS_FLAGS))
-    states = states.merge(forces[["F_cons", "F_diss"]])
+    if not isinstance(probe, Probe):
+        each = [
+            steady_states(p, sample, z=z, n_max=n_max, keep=keep, dims=dims, progress=progress) for p in probe
+        ]
+        if not each:
+            raise OvertoneError("no probes", expected="one or more")
+        result = xr.concat(each, dim="probe", join="outer", fill_value={"state": NO_STATE, "stable": False})
+        return result.assign_attrs(each[0].attrs)
+    heights = checked_heights(z)
+    check_range(heights, probe)
+    check_orders(n_max, keep)
+    all_laws = laws(probe, sample)
+    device = setup(probe, max(n_max, keep))
+    points = all_laws.table.shape[0]
+    parts = []
+    for point in range(points):
+        found = branches(all_laws, point, device.lever, (float(heights.min()), float(heights.max())))
+        parts.append(states_on(found, heights, device.lever, all_laws.at(point)))
+        if progress is not None:
+            progress(point + 1, points)
+    states = _side_by_side(parts, device.lever.tip.size)
+    stable = is_stable(probe, all_laws, states)
+    wide = (*sample.shape, *states.status.shape[1:])
+    along = (*sample_dims(sample.shape, dims), "z", "branch")
+    coords = {"z": ("z", heights, {"units": "m", "long_name": "height of the base"})}
+    result = states_dataset(device, states.reshaped(wide), along, coords, keep)
+    result["stable"] = named_array("stable", stable.reshape(wide), along, coords)
     return provenance.record(
-        states,
-        "hold_amplitude",
-        probe=format_probe(probe),
-        model=sample.model.key,
-        setpoint=setpoint,
-        n_max=n_max,
+        result, "steady_states", probe=format_probe(probe), model=sample.model.key, n_max=n_max
     )
 
 
-def _tail(sample: Sample) -> int:
-    """Return the adhesive tail of a sample that the solver knows."""
-    if sample.model.tail is None:
+def _side_by_side(parts: Sequence[Motions], orders: int) -> Motions:
+    """Return states (point, height, branch) of points with different numbers of branches, empty ones left out."""
+    most = max(1, *(part.status.shape[1] for part in parts))
+    states = Motions.missing((len(parts), parts[0].status.shape[0], most), orders)
+    for point, part in enumerate(parts):
+        states.put((point, slice(None), slice(part.status.shape[1])), part)
+    used = np.flatnonzero((states.status != NO_STATE).any(axis=(0, 1)))
+    return states.at((slice(None), slice(None), used if used.size else [0]))
+
+
+def check_orders(n_max: int, keep: int) -> None:
+    """Refuse numbers of harmonics that make no sense.
+
+    Raises
+    ------
+    OvertoneError
+        If n_max is not between 1 and 200 or keep is below 1.
+    """
+    if not 1 <= n_max <= 200 or keep < 1:
         raise OvertoneError(
-            f"steady states of model {sample.model.key!r} are not available",
-            expected="a conservative paraboloid: hertz, dmt-contact, dmt-linear or dmt",
-            hint="the conservative model nearest to it",
+            "numbers of harmonics are out of range",
+            expected="1 <= n_max <= 200 and keep >= 1",
+            got=f"n_max = {n_max}, keep = {keep}",
         )
-    return sample.model.tail
