@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import numpy.typing as npt
 
@@ -18,10 +16,10 @@ _Complex = npt.NDArray[np.complex128]
 @inner
 def has_closed_form(law: _Floats) -> bool:
     """Return whether every term of a law has its harmonics in closed form."""
+    closed = True
     for k in range(law.shape[0]):
-        if law[k, 0] == CURVE:
-            return False
-    return True
+        closed = closed and law[k, 0] != CURVE
+    return closed
 
 
 @inner

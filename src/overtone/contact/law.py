@@ -114,16 +114,15 @@ def law_slopes(law: _Floats, d: float, v: float, inside: bool, held: bool) -> tu
                 by_velocity -= law[k, 1] * _power(depth, law[k, 2])
                 if law[k, 2] > 0.0:
                     by_gap += law[k, 1] * law[k, 2] * _power(depth, law[k, 2] - 1.0) * v
-        elif kind == CURVE:
-            if held:
-                # the slope only steers an iteration: a difference, one-sided at the fold
-                step = 1e-6 * row_scale(law[k], d)
-                by_gap += (_curve_force(law[k], d) - _curve_force(law[k], d - step)) / step
+        elif kind == CURVE and held:
+            # the slope only steers an iteration: a difference, one-sided at the fold
+            step = 1e-6 * _stretch(law[k], d)
+            by_gap += (_curve_force(law[k], d) - _curve_force(law[k], d - step)) / step
     return by_gap, by_velocity
 
 
 @inner
-def row_scale(row: _Floats, d: float) -> float:
+def _stretch(row: _Floats, d: float) -> float:
     """Return the distance over which the stable branch changes [m]."""
     release = -row[2] * row[7]
     return max(min(abs(release - d), row[7]), 1e-6 * row[7])
@@ -153,10 +152,10 @@ def tail_range(law: _Floats) -> float:
 @inner
 def has_viscosity(law: _Floats) -> bool:
     """Return whether the force depends on velocity."""
+    viscous = False
     for k in range(law.shape[0]):
-        if law[k, 0] == VISCOUS:
-            return True
-    return False
+        viscous = viscous or law[k, 0] == VISCOUS
+    return viscous
 
 
 @kernel
