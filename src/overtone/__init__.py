@@ -10,21 +10,26 @@ from typing import TYPE_CHECKING, Any
 from overtone._version import __version__
 
 if TYPE_CHECKING:
+    from overtone.beam import beam_modes as beam_modes
     from overtone.contact.evaluate import force as force
     from overtone.contact.evaluate import force_harmonics as force_harmonics
     from overtone.contact.models import models as models
     from overtone.contact.sample import Sample as Sample
     from overtone.contact.sample import sample as sample
     from overtone.contact.validity import tabor_parameter as tabor_parameter
-    from overtone.dynamics.steady import hold_amplitude as hold_amplitude
+    from overtone.dynamics.curve import approach_curve as approach_curve
+    from overtone.dynamics.hold import hold_amplitude as hold_amplitude
+    from overtone.dynamics.steady import steady_states as steady_states
     from overtone.harmonics import to_force_harmonics as to_force_harmonics
     from overtone.harmonics import to_observables as to_observables
     from overtone.inversion.properties import map_energy as map_energy
     from overtone.inversion.properties import map_properties as map_properties
+    from overtone.inversion.reconstruction import reconstruct_force as reconstruct_force
     from overtone.io.netcdf import load as load
     from overtone.io.netcdf import save as save
     from overtone.io.observables import open_scan as open_scan
     from overtone.io.registry import read_channels as read_channels
+    from overtone.presets import preset as preset
     from overtone.probe import Probe as Probe
     from overtone.probe import load_probe as load_probe
     from overtone.probe import save_probe as save_probe
@@ -34,20 +39,25 @@ if TYPE_CHECKING:
 _HOME = {
     "Probe": "probe",
     "Sample": "contact.sample",
+    "approach_curve": "dynamics.curve",
+    "beam_modes": "beam",
     "force": "contact.evaluate",
     "force_harmonics": "contact.evaluate",
-    "hold_amplitude": "dynamics.steady",
+    "hold_amplitude": "dynamics.hold",
     "load": "io.netcdf",
     "load_probe": "probe",
     "map_energy": "inversion.properties",
     "map_properties": "inversion.properties",
     "models": "contact.models",
     "open_scan": "io.observables",
+    "preset": "presets",
     "probe_of": "readings",
     "read_channels": "io.registry",
+    "reconstruct_force": "inversion.reconstruction",
     "sample": "contact.sample",
     "save": "io.netcdf",
     "save_probe": "probe",
+    "steady_states": "dynamics.steady",
     "tabor_parameter": "contact.validity",
     "to_force_harmonics": "harmonics",
     "to_observables": "harmonics",

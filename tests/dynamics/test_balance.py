@@ -13,19 +13,19 @@ from overtone.dynamics.system import laws
 from overtone.probe import Probe
 
 SAMPLES = {
-    "hertz": dict(modulus=1e9, poisson_ratio=0.3),
-    "hertz-viscous": dict(modulus=1e8, poisson_ratio=0.4, viscosity=50.0),
-    "dmt-contact": dict(modulus=1e9, poisson_ratio=0.3, adhesion=8e-9),
-    "dmt-linear": dict(modulus=1e9, poisson_ratio=0.3, adhesion=8e-9),
-    "dmt": dict(modulus=1e9, poisson_ratio=0.3, adhesion=8e-9),
-    "dmt-viscous": dict(modulus=2e8, poisson_ratio=0.3, adhesion=8e-9, viscosity=80.0),
-    "kelvin-voigt-adhesion": dict(stiffness=5.0, damping=1e-7, adhesion=4e-9),
-    "cone": dict(modulus=5e8, poisson_ratio=0.3, half_angle=0.35),
-    "power": dict(prefactor=3.0, exponent=1.3),
-    "thin-layer": dict(modulus=5e7, poisson_ratio=0.3, thickness=60e-9),
-    "capillary": dict(modulus=1e9, poisson_ratio=0.3, adhesion=8e-9, rupture_distance=1.2e-9),
-    "jkr": dict(modulus=5e8, poisson_ratio=0.4, adhesion=8e-9),
-    "maugis": dict(modulus=5e8, poisson_ratio=0.4, work_of_adhesion=0.1),
+    "hertz": {"modulus": 1e9, "poisson_ratio": 0.3},
+    "hertz-viscous": {"modulus": 1e8, "poisson_ratio": 0.4, "viscosity": 50.0},
+    "dmt-contact": {"modulus": 1e9, "poisson_ratio": 0.3, "adhesion": 8e-9},
+    "dmt-linear": {"modulus": 1e9, "poisson_ratio": 0.3, "adhesion": 8e-9},
+    "dmt": {"modulus": 1e9, "poisson_ratio": 0.3, "adhesion": 8e-9},
+    "dmt-viscous": {"modulus": 2e8, "poisson_ratio": 0.3, "adhesion": 8e-9, "viscosity": 80.0},
+    "kelvin-voigt-adhesion": {"stiffness": 5.0, "damping": 1e-7, "adhesion": 4e-9},
+    "cone": {"modulus": 5e8, "poisson_ratio": 0.3, "half_angle": 0.35},
+    "power": {"prefactor": 3.0, "exponent": 1.3},
+    "thin-layer": {"modulus": 5e7, "poisson_ratio": 0.3, "thickness": 60e-9},
+    "capillary": {"modulus": 1e9, "poisson_ratio": 0.3, "adhesion": 8e-9, "rupture_distance": 1.2e-9},
+    "jkr": {"modulus": 5e8, "poisson_ratio": 0.4, "adhesion": 8e-9},
+    "maugis": {"modulus": 5e8, "poisson_ratio": 0.4, "work_of_adhesion": 0.1},
 }
 HIGHER = np.array([0.0, 0.0, -0.08 + 0.02j, 0.03 - 0.01j, 0.004 + 0.003j]) * 1e-9
 
@@ -60,7 +60,7 @@ HYSTERETIC = ("jkr", "maugis", "capillary")
 def given(key: str) -> dict[str, Any]:
     """Return the parameters of a model that belong to the probe."""
     names = {q.name for q in ot.sample(key, **SAMPLES[key]).model.parameters}
-    return {name: value for name, value in dict(radius=10e-9, frequency=303e3).items() if name in names}
+    return {name: value for name, value in {"radius": 10e-9, "frequency": 303e3}.items() if name in names}
 
 
 @pytest.mark.parametrize("key", list(SAMPLES))

@@ -11,15 +11,18 @@ import xarray as xr
 
 from overtone import provenance
 from overtone.contact.sample import Sample
-from overtone.dynamics.stability import is_stable, where_it_settles
+from overtone.dynamics.balance import LOWEST
+from overtone.dynamics.stability import is_stable, motion_in
 from overtone.dynamics.states import Motions, sample_dims, states_dataset
 from overtone.dynamics.steady import branches, check_orders, check_range, checked_heights, states_on
 from overtone.dynamics.system import Laws, Setup, laws, setup
+from overtone.dynamics.transient import settle, sweep
 from overtone.errors import OvertoneError
 from overtone.probe import Probe, format_probe
 from overtone.quantities import named_array
 
 _METHODS = ("steady", "transient")
+_BAND = 0.1  # of the drive frequency
 DIRECTIONS = ("approach", "retract")
 
 _Floats = npt.NDArray[np.float64]
@@ -29,8 +32,11 @@ _Complex = npt.NDArray[np.complex128]
 class _Follower:
     """The branches of one material, solved when a sweep comes to them."""
 
-    def __init__(self, device: Setup, all_laws: Laws, point: int, heights: _Floats) -> None:
-        self.probe, self.lever, self.heights = device.probe, device.lever, heights
+    def __init__(self, device: Setup, all_laws: Laws, sample: Sample, point: int, heights: _Floats) -> None:
+        self.device, self.lever, self.heights = device, device.lever, heights
+        self.sample = Sample(
+            sample.model, {name: value.ravel()[point] for name, value in sample.values.items()}
+        )
         self.laws = all_laws.only([point])
         between = float(heights.min()), float(heights.max())
         self.branches = branches(self.laws, 0, self.lever, between)
@@ -40,7 +46,7 @@ class _Follower:
         """Return the states of a branch at every height, and whether a motion stays in them."""
         if branch not in self._solved:
             found = states_on([self.branches[branch]], self.heights, self.lever, self.laws.at(0))
-            stable = is_stable(self.probe, self.laws, found.at(None))
+            stable = is_stable(self.device, self.laws, found.at(None))
             self._solved[branch] = found.at((slice(None), 0)), stable[0, :, 0]
         return self._solved[branch]
 
@@ -49,28 +55,30 @@ class _Follower:
         low, high = self.branches[branch].ends
         return low <= self.heights[height] <= high and bool(self.states(branch)[1][height])
 
-    def next_branch(self, height: int, before: tuple[_Floats, _Complex] | None) -> int | None:
+    def next_branch(self, height: int, before: Motions | None) -> int | None:
         """Return the branch that the motion goes to at a height, from another state or from rest far away."""
         candidates = [k for k in range(len(self.branches)) if self.holds(k, height)]
         if len(candidates) < 2 or before is None:
             return candidates[0] if candidates else None
-        settled = where_it_settles(self.probe, self.laws, before, float(self.heights[height]))
-        if settled is None:
+        start = motion_in(self.device, self.laws, before.at(None), np.zeros(1, np.intp))
+        rest = settle(self.device.probe, self.sample, Z=self.heights[[height]], start=start, method="relax")
+        if int(rest["state"]) != 0:
             return None
-        off = [float(np.abs(self.states(k)[0].x[height, :2] - settled).max()) for k in candidates]
+        ends = np.array([float(rest["A1"]), -float(rest["indentation"])])
+        there = [self.states(k)[0] for k in candidates]
+        off = [np.abs([s.x[height, 1], s.extras[height, LOWEST]] - ends).max() for s in there]
         return candidates[int(np.argmin(off))]
 
     def follow(self, order: npt.NDArray[np.intp], start: int | None) -> list[int | None]:
         """Return the branch at each height in an order of heights, beginning on one if it can."""
         branch, path = start, []
-        before: tuple[_Floats, _Complex] | None = None
+        before: Motions | None = None
         for height in [int(k) for k in order]:
             if branch is None or not self.holds(branch, height):
                 branch = self.next_branch(height, before)
             path.append(branch)
             if branch is not None:
-                states = self.states(branch)[0]
-                before = states.x[height], states.b[height]
+                before = self.states(branch)[0].at(height)
         return path
 
 
@@ -149,7 +157,7 @@ def approach_curve(
     states = Motions.missing((points, 2, size), device.lever.tip.size)
     jump = np.zeros((points, 2, size), bool)
     for point in range(points):
-        follower = _Follower(device, all_laws, point, heights)
+        follower = _Follower(device, all_laws, sample, point, heights)
         down = np.arange(size)
         there = follower.follow(down, None)
         back = follower.follow(down[::-1], there[-1])
@@ -182,4 +190,25 @@ def _transient(
     keep: int,
     progress: Callable[[int, int], None] | None,
 ) -> xr.Dataset:
-    raise NotImplementedError
+    """Sweep down and up in time; the start of the way back is the end of the way there."""
+    if speed is None:
+        raise OvertoneError(
+            "a transient approach curve needs a speed",
+            expected="speed of the base [m/s]",
+            hint="speed=100e-9",
+        )
+    band = bandwidth if bandwidth is not None else _BAND * probe.drive.frequency
+    there, end = sweep(probe, sample, z=heights, speed=speed, bandwidth=band, n_max=keep, progress=progress)
+    back, _ = sweep(
+        probe, sample, z=heights[::-1], speed=speed, bandwidth=band, n_max=keep, start=end, progress=progress
+    )
+    curve = xr.concat([there, back.sel(z=heights)], dim="direction", combine_attrs="override")
+    curve = curve.assign_coords(direction=list(DIRECTIONS))
+    return provenance.record(
+        curve,
+        "approach_curve",
+        probe=format_probe(probe),
+        model=sample.model.key,
+        method="transient",
+        speed=speed,
+    )

@@ -18,6 +18,7 @@ import contourpy
 import numpy as np
 import numpy.typing as npt
 
+from overtone.blocks import run_blocks
 from overtone.contact.bare import bare_harmonics, has_closed_form
 from overtone.contact.law import Law
 from overtone.dynamics.balance import EXTRAS, Lever, Motion, Sums, force_on_motion
@@ -25,6 +26,7 @@ from overtone.kernels import inner, kernel
 
 _AMPLITUDES, _BEYOND = 220, 30  # grid lines up to the free amplitude and a bit, and above
 _GAPS = 280
+_ROWS = 35  # of them that a thread takes at a time
 _FINE = 0.5e-9  # amplitudes are resolved to a few per cent of this, or of themselves [m]
 _FINEST = 0.02e-9  # closest gaps are resolved to this near contact, to a tenth of themselves farther out [m]
 _EDGE = 1e-9  # of the squared drive: rounding at the edge of a sheet
@@ -152,6 +154,11 @@ class Arc(NamedTuple):
     folds: tuple[bool, bool]
     """Whether its lower and its upper end is a fold, not the end of what was searched."""
 
+    def fold_at(self, last: bool) -> tuple[float, float]:
+        """Return height and amplitude of an end, which it shares with the arc beyond the fold."""
+        k = -1 if last else 0
+        return float(self.height[k]), float(self.amplitude[k])
+
 
 def arcs(law: Law, lever: Lever, heights: tuple[float, float], pull: float) -> list[Arc]:
     """Return every arc of steady states of the first harmonic between two heights [m].
@@ -173,7 +180,9 @@ def arcs(law: Law, lever: Lever, heights: tuple[float, float], pull: float) -> l
     high = max(heights[1], 0.0) + static * pull + 1e-9
     gaps = _FINEST * np.sinh(np.linspace(math.asinh(low / _FINEST), math.asinh(high / _FINEST), _GAPS))
     needed = np.empty((gaps.size, amplitudes.size), complex)
-    needed_force(law, amplitudes, gaps, omega, tip, needed)
+    run_blocks(
+        lambda rows: needed_force(law, amplitudes, gaps[rows], omega, tip, needed[rows]), gaps.size, _ROWS
+    )
     real = np.sqrt(np.maximum(force**2 - needed.imag**2, 0.0))
     found: list[_Floats] = []
     tips: list[_Floats] = []

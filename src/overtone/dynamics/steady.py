@@ -71,22 +71,28 @@ def branches(all_laws: Laws, point: int, lever: Lever, heights: tuple[float, flo
     free = abs(lever.tip[1]) * lever.force
     found = arcs(law, lever, heights, float(all_laws.pull[point]))
     margin = _NEAR * free
+    found = [
+        arc for arc in found if arc.height[0] < heights[1] + margin and arc.height[-1] > heights[0] - margin
+    ]
+    # two arcs share a fold: look for it once, and for all of them on all cores
+    meeting: dict[tuple[float, float], list[tuple[Arc, bool]]] = {}
+    for arc in found:
+        for last in (False, True):
+            if arc.folds[last]:
+                meeting.setdefault(arc.fold_at(last), []).append((arc, last))
+    jobs = list(meeting.items())
     folds: dict[tuple[float, float], Fold | None] = {}
+
+    def search(part: slice) -> None:
+        for key, sides in jobs[part]:
+            tries = (_fold(arc, last, lever, law) for arc, last in sides)
+            folds[key] = next((fold for fold in tries if fold is not None), None)
+
+    run_blocks(search, len(jobs), 1)
     result = []
     for arc in found:
-        if arc.height[0] > heights[1] + margin or arc.height[-1] < heights[0] - margin:
-            continue
-        ends: list[Fold | None] = []
-        for last in (False, True):
-            k = -1 if last else 0
-            key = (float(arc.height[k]), float(arc.amplitude[k]))
-            if not arc.folds[last]:
-                ends.append(None)
-                continue
-            if key not in folds:
-                folds[key] = _fold(arc, last, lever, law)
-            ends.append(folds[key])
-        branch = Branch(arc, ends[0], ends[1], 0.0)
+        low, high = (folds[arc.fold_at(last)] if arc.folds[last] else None for last in (False, True))
+        branch = Branch(arc, low, high, 0.0)
         result.append(branch._replace(sign=_sign(branch, lever, law)))
     return result
 
@@ -108,10 +114,13 @@ def _fold(arc: Arc, last: bool, lever: Lever, law: Law) -> Fold | None:
     if step == 0.0:
         return None
     along /= step
-    x = np.array([arc.gap[k], arc.amplitude[k], arc.phase[k], arc.height[k]])
-    b, f, extras = np.zeros_like(lever.tip), np.empty_like(lever.tip), np.empty(EXTRAS)
-    status = find_fold(x, b, along, min(step, 0.01 * arc.amplitude[k]), last, lever, law, f, extras)
-    return Fold(x, b) if status == FOUND else None
+    for shrink in (1.0, 0.1, 0.01):  # a step too long leads to where the first harmonic is no guide
+        x = np.array([arc.gap[k], arc.amplitude[k], arc.phase[k], arc.height[k]])
+        b, f, extras = np.zeros_like(lever.tip), np.empty_like(lever.tip), np.empty(EXTRAS)
+        first = shrink * min(step, 0.01 * arc.amplitude[k])
+        if find_fold(x, b, along, first, last, lever, law, f, extras) == FOUND:
+            return Fold(x, b)
+    return None
 
 
 def states_on(found: Sequence[Branch], heights: _Floats, lever: Lever, law: Law) -> Motions:
@@ -321,7 +330,12 @@ def steady_states(
         ]
         if not each:
             raise OvertoneError("no probes", expected="one or more")
-        result = xr.concat(each, dim="probe", join="outer", fill_value={"state": NO_STATE, "stable": False})
+        most = max(states.sizes["branch"] for states in each)
+        filler = {"state": NO_STATE, "stable": False}
+        even = [
+            states.pad(branch=(0, most - states.sizes["branch"]), constant_values=filler) for states in each
+        ]
+        result = xr.concat(even, dim="probe")
         return result.assign_attrs(each[0].attrs)
     heights = checked_heights(z)
     check_range(heights, probe)
@@ -336,7 +350,7 @@ def steady_states(
         if progress is not None:
             progress(point + 1, points)
     states = _side_by_side(parts, device.lever.tip.size)
-    stable = is_stable(probe, all_laws, states)
+    stable = is_stable(device, all_laws, states)
     wide = (*sample.shape, *states.status.shape[1:])
     along = (*sample_dims(sample.shape, dims), "z", "branch")
     coords = {"z": ("z", heights, {"units": "m", "long_name": "height of the base"})}
