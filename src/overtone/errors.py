@@ -69,11 +69,11 @@ class OvertoneWarning(UserWarning):
 
 
 class UncalibratedWarning(OvertoneWarning):
-    """The file carries factory defaults where a calibration belongs."""
+    """The file carries factory defaults where a calibration belongs, or the probe is a nominal one."""
 
 
 class ResonanceWarning(OvertoneWarning):
-    """The file holds several resonances, or none that fits its own free-air values."""
+    """The file holds several resonances or none that fits, or a mode of the lever meets a harmonic."""
 
 
 class PhaseReferenceWarning(OvertoneWarning):
@@ -86,3 +86,7 @@ class DistortionWarning(OvertoneWarning):
 
 class ChannelWarning(OvertoneWarning):
     """A channel is missing, has no unit, or was flattened."""
+
+
+class CurveWarning(OvertoneWarning):
+    """An approach curve jumps, ends too early, or does not follow from one force."""
