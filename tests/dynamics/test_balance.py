@@ -42,15 +42,15 @@ def lever() -> Probe:
 
 
 @numba.njit  # type: ignore[misc]
-def summed(g, amplitude, b, omega, law, f, P, S, extras):  # type: ignore[no-untyped-def]
-    force_on_motion(Motion(g, amplitude, b), omega, law, Sums(f, P, S, extras))
+def summed(g, amplitude, b, omega, law, f, P, S, extras, turns):  # type: ignore[no-untyped-def]
+    force_on_motion(Motion(g, amplitude, b), omega, law, Sums(f, P, S, extras, turns))
 
 
 def force_sums(key: str, g: float, amplitude: float, b: np.ndarray, orders: int = 12) -> tuple[Any, ...]:
     law = laws(lever(), ot.sample(key, **SAMPLES[key])).at(0)
     f, P, S = np.empty(orders, complex), np.empty(orders, complex), np.empty(orders, complex)
     extras = np.empty(EXTRAS)
-    summed(g, amplitude, b, 2.0 * math.pi * 303e3, law, f, P, S, extras)
+    summed(g, amplitude, b, 2.0 * math.pi * 303e3, law, f, P, S, extras, np.empty(orders, complex))
     return f, P, S, extras
 
 

@@ -75,6 +75,8 @@ class Sums(NamedTuple):
     """(n,), or empty: those of its derivative by the velocity [N s/m]."""
     extras: _Floats
     """(EXTRAS,): lowest gap, peak force, strongest pull, share of contact, energy lost, extra touches."""
+    turns: _Complex
+    """Scratch for exp(i n theta), as many as the longest of the others and the motion."""
 
 
 # --- the motion -------------------------------------------------------------------------------------------------
@@ -158,22 +160,22 @@ def _sample(
 ) -> None:
     """Add one phase to the harmonics of the force (f) and of its derivatives by gap (P) and velocity (S)."""
     g, amplitude, b = motion
-    f, P, S, extras = sums
+    f, P, S, extras, turns = sums
     turn = complex(math.cos(theta), math.sin(theta))
-    d, slope, power = g + amplitude * turn.real, -amplitude * turn.imag, turn
+    d, slope = g + amplitude * turn.real, -amplitude * turn.imag
+    turns[0], turns[1] = 1.0, turn
+    for n in range(2, turns.shape[0]):
+        turns[n] = turns[n - 1] * turn
     for n in range(2, b.shape[0]):
-        power *= turn
-        d += b[n].real * power.real - b[n].imag * power.imag
-        slope -= n * (b[n].real * power.imag + b[n].imag * power.real)
+        d += b[n].real * turns[n].real - b[n].imag * turns[n].imag
+        slope -= n * (b[n].real * turns[n].imag + b[n].imag * turns[n].real)
     v = omega * slope
     force = law_force(table, d, v, inside, held)
-    back = turn.conjugate()
     scaled = weight / math.pi
-    f[0] += 0.5 * force * scaled
-    power = complex(force * scaled, 0.0)
+    share = force * scaled
+    f[0] += 0.5 * share
     for n in range(1, f.shape[0]):
-        power *= back
-        f[n] += power
+        f[n] += share * turns[n].conjugate()
     extras[PEAK] = max(extras[PEAK], force)
     extras[PULL] = min(extras[PULL], force)
     extras[WORK] -= force * slope * weight  # per cycle
@@ -181,17 +183,13 @@ def _sample(
         extras[TOUCHES] += 1.0
     if P.shape[0]:
         by_gap, by_velocity = law_slopes(table, d, v, inside, held)
-        power = complex(by_gap * scaled, 0.0)
-        P[0] += power
-        for n in range(1, P.shape[0]):
-            power *= back
-            P[n] += power
+        by_gap *= scaled
+        for n in range(P.shape[0]):
+            P[n] += by_gap * turns[n].conjugate()
+        by_velocity *= scaled
         if by_velocity != 0.0:
-            power = complex(by_velocity * scaled, 0.0)
-            S[0] += power
-            for n in range(1, S.shape[0]):
-                power *= back
-                S[n] += power
+            for n in range(S.shape[0]):
+                S[n] += by_velocity * turns[n].conjugate()
 
 
 @inner
@@ -262,7 +260,7 @@ def force_on_motion(
 
     ``P`` and ``S`` may be empty. Assumes one approach and one retraction a period.
     """
-    f, P, S, extras = sums
+    f, P, S, extras, _ = sums
     levels, kinks = law.levels, law.kinks
     f[:] = 0.0
     P[:] = 0.0
@@ -276,7 +274,7 @@ def force_on_motion(
     kept = touched and farthest <= law.lost  # a contact that the motion never breaks
     tail = has_tail(law.table)
     reach = tail_range(law.table)
-    orders = max(f.shape[0] - 1, P.shape[0] - 1, 10)
+    orders = max(f.shape[0] - 1, 10)
     for way in range(2):
         side = 1.0 if way else -1.0
         far = bottom + side * math.pi
@@ -511,7 +509,8 @@ def balance(
     size = max(4, 2 * steered + 2)
     P, S = np.empty(2 * steered + 1, np.complex128), np.zeros(2 * steered + 1, np.complex128)
     # where nothing depends on velocity its derivatives stay zero and are not summed
-    summed = Sums(f, P, S if has_viscosity(law.table) else S[:0], extras)
+    turns = np.empty(max(orders, 2 * steered + 1), np.complex128)
+    summed = Sums(f, P, S if has_viscosity(law.table) else S[:0], extras, turns)
     matrix, right = np.empty((size, size)), np.empty(size)
     unit = abs(lever.tip[1]) * lever.force
     sign, before, left = 0.0, math.inf, math.inf

@@ -58,10 +58,13 @@ class _Follower:
     def next_branch(self, height: int, before: Motions | None) -> int | None:
         """Return the branch that the motion goes to at a height, from another state or from rest far away."""
         candidates = [k for k in range(len(self.branches)) if self.holds(k, height)]
-        if len(candidates) < 2 or before is None:
+        if len(candidates) < 2:
             return candidates[0] if candidates else None
-        start = motion_in(self.device, self.laws, before.at(None), np.zeros(1, np.intp))
+        start = None  # the free motion
+        if before is not None:
+            start = motion_in(self.device, self.laws, before.at(None), np.zeros(1, np.intp))
         rest = settle(self.device.probe, self.sample, Z=self.heights[[height]], start=start, method="relax")
+        rest = rest.isel(Z=0)
         if int(rest["state"]) != 0:
             return None
         ends = np.array([float(rest["A1"]), -float(rest["indentation"])])

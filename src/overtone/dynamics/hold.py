@@ -122,7 +122,7 @@ def hold_block(
     """Fill the state of every point at its amplitude: bare, or with every harmonic where ``refine``."""
     first, work = np.empty(2, np.complex128), np.empty((4, f.shape[1]))
     b, held = np.empty(f.shape[1], np.complex128), np.array([HOLD_AMPLITUDE, 0.0, 0.0, 0.0])
-    none = np.empty(0, np.complex128)
+    none, turns = np.empty(0, np.complex128), np.empty(f.shape[1], np.complex128)
     for i in range(amplitude.shape[0]):
         A, law = amplitude[i], law_at(laws, i)
         closest, status[i] = find_bare(law, lever, A, deepest, first, work)
@@ -141,7 +141,7 @@ def hold_block(
             bare_harmonics(law.table, A, -closest, lever.omega, f[i], work)
             extras[i, LOWEST] = closest
         else:
-            force_on_motion(Motion(x[i, 0], A, b), lever.omega, law, Sums(f[i], none, none, extras[i]))
+            force_on_motion(Motion(x[i, 0], A, b), lever.omega, law, Sums(f[i], none, none, extras[i], turns))
 
 
 def hold_amplitude(

@@ -54,7 +54,7 @@ def bare_force(
         bare_harmonics(law.table, amplitude, -closest, omega, f, work)
         return
     none, still = np.empty(0, np.complex128), np.zeros(2, np.complex128)
-    sums = Sums(f, none, none, np.empty(EXTRAS))
+    sums = Sums(f, none, none, np.empty(EXTRAS), np.empty(2, np.complex128))
     force_on_motion(Motion(closest + amplitude, amplitude, still), omega, law, sums)
 
 
