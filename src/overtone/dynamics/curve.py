@@ -19,7 +19,7 @@ from overtone.dynamics.system import Laws, Setup, laws, setup
 from overtone.dynamics.transient import settle, sweep
 from overtone.errors import OvertoneError
 from overtone.probe import Probe, format_probe
-from overtone.quantities import named_array
+from overtone.quantities import named_variable
 
 _METHODS = ("steady", "transient")
 _BAND = 0.1  # of the drive frequency
@@ -166,7 +166,8 @@ def approach_curve(
         back = follower.follow(down[::-1], there[-1])
         for direction, (path, order) in enumerate(((there, down), (back, down[::-1]))):
             for step, (branch, height) in enumerate(zip(path, order, strict=True)):
-                jump[point, direction, height] = step > 0 and branch != path[step - 1]
+                before = path[step - 1] if step else None
+                jump[point, direction, height] = None not in (before, branch) and branch != before
                 if branch is not None:
                     states.put((point, direction, height), follower.states(branch)[0].at(height))
         if progress is not None:
@@ -178,7 +179,7 @@ def approach_curve(
         "z": ("z", heights, {"units": "m", "long_name": "height of the base"}),
     }
     curve = states_dataset(device, states.reshaped(wide), along, coords, keep)
-    curve["jump"] = named_array("jump", jump.reshape(wide), along, coords)
+    curve["jump"] = named_variable("jump", jump.reshape(wide), along)
     return provenance.record(
         curve, "approach_curve", probe=format_probe(probe), model=sample.model.key, method=method, n_max=n_max
     )

@@ -2,22 +2,82 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 
 from overtone.contact.law import Law
 from overtone.dynamics.balance import FOUND, HOLD_HEIGHT, HOLD_LINE, NO_STATE, NOT_CONVERGED, Lever, balance
-from overtone.kernels import kernel
+from overtone.kernels import inner, kernel
+
+_SHORTEST = 1e-8  # step, of the free amplitude
+_FLAT = 1e-8  # of the free amplitude: a height that changes by less is that of the fold
 
 _Floats = npt.NDArray[np.float64]
 _Complex = npt.NDArray[np.complex128]
+
+
+@inner
+def _step_along(
+    x: _Floats, b: _Complex, along: _Floats, length: float, lever: Lever, law: Law, f: _Complex, extras: _Floats
+) -> int:
+    """Move a state by a length [m] along a direction in (g, A), in place; return a status."""
+    held = np.array([HOLD_LINE, along[0], along[1], along[0] * x[0] + along[1] * x[1] + length])
+    x[0] += length * along[0]
+    x[1] += length * along[1]
+    status, _, _ = balance(x, b, held, lever, law, f, extras)
+    return status
+
+
+@inner
+def _enclose_fold(
+    states: _Floats,
+    motions: _Complex,
+    along: _Floats,
+    step: float,
+    way: float,
+    lever: Lever,
+    law: Law,
+    f: _Complex,
+    extras: _Floats,
+) -> int:
+    """Step along a branch from the first state until ``way Z`` rises again; leave the last three states."""
+    unit = abs(lever.tip[1]) * lever.force
+    known, last = 1, 0
+    state, motion = states[0].copy(), motions[0].copy()
+    for _ in range(80):
+        state[:], motion[:] = states[last], motions[last]
+        status = _step_along(state, motion, along, step, lever, law, f, extras)
+        moved = math.hypot(state[0] - states[last, 0], state[1] - states[last, 1])
+        if status != FOUND or moved > 2.0 * step:
+            step *= 0.5
+            if step < _SHORTEST * unit:
+                return NOT_CONVERGED
+            continue
+        rises = way * (state[3] - states[last, 3]) > 0.0
+        if rises and known == 1:  # beyond the fold at once: come nearer
+            step *= 0.5
+            if step < _SHORTEST * unit:
+                return NOT_CONVERGED
+            continue
+        if rises:
+            states[2], motions[2] = state, motion
+            return FOUND
+        if known == 2:
+            states[0], motions[0] = states[1], motions[1]
+        known, last = 2, 1
+        states[1], motions[1] = state, motion
+        along[0], along[1] = (states[1, 0] - states[0, 0]) / moved, (states[1, 1] - states[0, 1]) / moved
+        step *= 1.3
+    return NOT_CONVERGED
 
 
 @kernel
 def find_fold(
     x: _Floats,
     b: _Complex,
-    across: _Floats,
+    along: _Floats,
     step: float,
     highest: bool,
     lever: Lever,
@@ -30,78 +90,57 @@ def find_fold(
     Parameters
     ----------
     x, b : arrays
-        A state next to the fold, as `balance` has it.
-    across : array (2,)
-        Direction of the branch in (g, A), of length one: what is held is the distance along it.
+        A state before the fold, as `balance` has it.
+    along : array (2,)
+        Direction towards it in (g, A), of length one.
     step : float
-        First step along the branch [m]; negative goes back.
+        First step along the branch [m].
     highest : bool
         Whether the fold is a highest or a lowest height.
     """
-    held = np.array([HOLD_LINE, across[0], across[1], 0.0])
+    unit = abs(lever.tip[1]) * lever.force
     way = -1.0 if highest else 1.0
-    places, values = np.empty(3), np.empty(3)
     states, motions = np.empty((3, 4)), np.empty((3, b.shape[0]), np.complex128)
-    place = across[0] * x[0] + across[1] * x[1]
-    states[1], motions[1] = x, b
-    size = abs(step)
-    for k in range(3):  # the middle first, then both sides from it
-        i = (1, 0, 2)[k]
-        states[i], motions[i] = states[1], motions[1]
-        places[i] = place + (i - 1) * size
-        held[3] = places[i]
-        status, _, _ = balance(states[i], motions[i], held, lever, law, f, extras)
-        if status == NOT_CONVERGED:
-            return status
+    states[0], motions[0] = x, b
+    line = along.copy()
+    status = _enclose_fold(states, motions, line, step, way, lever, law, f, extras)
+    if status != FOUND:
+        return status
+    line[0], line[1] = states[2, 0] - states[0, 0], states[2, 1] - states[0, 1]
+    line /= math.hypot(line[0], line[1])
+    places, values = np.empty(3), np.empty(3)
+    for i in range(3):
+        places[i] = line[0] * states[i, 0] + line[1] * states[i, 1]
         values[i] = way * states[i, 3]
     for _ in range(60):
-        low = int(np.argmin(values))
-        if low != 1:  # not enclosed yet: go on downhill
-            outer, other = low, 2 - low
-            states[other], motions[other], values[other], places[other] = (
-                states[1], motions[1], values[1], places[1],
-            )  # fmt: skip
-            states[1], motions[1], values[1], places[1] = (
-                states[outer], motions[outer], values[outer], places[outer],
-            )  # fmt: skip
-            target, slot = places[1] + (places[1] - places[other]) * 1.5, outer
-        else:
-            left, right = places[1] - places[0], places[2] - places[1]
-            if max(left, right) < 1e-6 * size:
-                break
-            rise_left, rise_right = values[0] - values[1], values[2] - values[1]
-            bend = rise_left * right + rise_right * left
-            shift = 0.5 * (rise_left * right * right - rise_right * left * left) / bend if bend > 0.0 else 0.0
-            nearest = 0.01 * min(left, right)
-            if abs(shift) < nearest:  # a probe beside the minimum, on the longer side, closes it in
-                shift = nearest if right > left else -nearest
-            shift = min(max(shift, -0.9 * left), 0.9 * right)
-            target, slot = places[1] + shift, -1
-        held[3] = target
+        left, right = places[1] - places[0], places[2] - places[1]
+        if not (left > 0.0 and right > 0.0):
+            return NOT_CONVERGED
+        rise_left, rise_right = values[0] - values[1], values[2] - values[1]
+        bend = rise_left * right + rise_right * left
+        shift = 0.5 * (rise_left * right * right - rise_right * left * left) / bend if bend > 0.0 else 0.0
+        nearest = 0.01 * min(left, right)
+        if abs(shift) < nearest:  # a probe beside the minimum, on the longer side, closes it in
+            shift = nearest if right > left else -nearest
+        shift = min(max(shift, -0.9 * left), 0.9 * right)
         state, motion = states[1].copy(), motions[1].copy()
-        status, _, _ = balance(state, motion, held, lever, law, f, extras)
+        status = _step_along(state, motion, line, shift, lever, law, f, extras)
         if status == NOT_CONVERGED:
             return status
-        value = way * state[3]
-        if slot >= 0:
-            states[slot], motions[slot], values[slot], places[slot] = state, motion, value, target
-            continue
+        value, place = way * state[3], places[1] + shift
+        settled = abs(value - values[1]) < _FLAT * unit
+        side = 1
         if value <= values[1]:
-            side = 0 if target > places[1] else 2
-            states[side], motions[side], values[side], places[side] = (
-                states[1], motions[1], values[1], places[1],
-            )  # fmt: skip
-            side = 1
+            other = 0 if shift > 0.0 else 2
+            states[other], motions[other] = states[1], motions[1]
+            values[other], places[other] = values[1], places[1]
         else:
-            side = 0 if target < places[1] else 2
-        settled = abs(value - values[1]) < 1e-9 * abs(value) * 1e-3 and side == 1
-        states[side], motions[side], values[side], places[side] = state, motion, value, target
+            side = 0 if shift < 0.0 else 2
+        states[side], motions[side], values[side], places[side] = state, motion, value, place
         if settled:
             break
     x[:], b[:] = states[1], motions[1]
-    held[3] = places[1]
-    status, _, _ = balance(x, b, held, lever, law, f, extras)
-    return status
+    return FOUND
 
 
 @kernel

@@ -72,18 +72,21 @@ def find_bare(
 ) -> tuple[float, int]:
     """Return the closest gap of a bare cosine in balance, the deepest or the outermost, and a status."""
     way = 1.0 if deepest else -1.0
-    # from deep in contact upwards, or from far away downwards, until the balance turns
+    # from deep in contact upwards, or from far away through the first touch, until the balance turns
     low = (-_DEEPEST if deepest else _FARTHEST) * amplitude
     at_low = way * _off_sheet(law, lever, amplitude, low, way, f, work)
     high, at_high = low, at_low
-    while abs(low) > _SHALLOWEST * amplitude:
-        high = _STEP * low
-        at_high = way * _off_sheet(law, lever, amplitude, high, way, f, work)
-        if (at_high > 0.0) != (at_low > 0.0):
-            break
+    while (at_high > 0.0) == (at_low > 0.0):
         low, at_low = high, at_high
-    if (at_high > 0.0) == (at_low > 0.0):
-        return math.nan, NO_STATE
+        if deepest or low > _SHALLOWEST * amplitude:
+            high = _STEP * low
+        elif low > 0.0:
+            high = -low
+        else:
+            high = low / _STEP
+        if abs(high) < _SHALLOWEST * amplitude * _STEP or high < -_DEEPEST * amplitude:
+            return math.nan, NO_STATE
+        at_high = way * _off_sheet(law, lever, amplitude, high, way, f, work)
     side, middle = 0, 0.5 * (low + high)
     value = math.inf
     for k in range(_STEPS):

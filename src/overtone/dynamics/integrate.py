@@ -32,7 +32,8 @@ from overtone.kernels import inner, kernel
 DONE, NOT_SETTLED, TOO_MANY_STEPS, STEP_TOO_SMALL, NOT_FINITE, CHATTER = range(6)
 
 PERIOD = 2.0 * math.pi
-WORK, CLOSEST, PEAK, PULL, CONTACT = range(5)  # columns of the numbers of a record
+NUMBERS = 5  # of a record, in these columns
+WORK, CLOSEST, PEAK, PULL, CONTACT = range(NUMBERS)
 # columns of the modes of a lever: r_j^2, r_j / Q_j, r_j^2 / k_j [length/N], the real and imaginary part of
 # r_j^2 times the static deflection under the drive, and what the detector reads of the mode
 SQUARE, DAMPING, MOBILITY, PUSH, PUSH_ACROSS, WEIGHT = range(6)
@@ -54,6 +55,8 @@ _SMALLEST = 1e-14
 _STEPS_A_PERIOD = 20_000
 _FLIPS = 64  # at one instant
 _LANDING_TRIES = 24
+_YIELDING_TRIES = 60
+_LANDING_STEPS = 2  # about what it takes
 _LANDING = 1e-3  # how near to a level is on it, in units of the tolerance
 _SHRINK, _GROW, _SAFETY = 0.2, 6.0, 0.9
 
@@ -102,8 +105,8 @@ class Contact(NamedTuple):
     law: _Floats
     """(term, column), see `overtone.contact.law`."""
     levels: _Floats
-    """(level,): gaps at which it is not smooth, rising, the first ``count`` of them."""
-    count: int
+    """(level,): gaps at which it is not smooth, rising, the first ``kinks`` of them."""
+    kinks: int
     zero: int
     """Which of them is gap 0; -1 for none."""
     made: int
@@ -135,7 +138,7 @@ def workspace(modes: int) -> _Floats:
 @inner
 def new_record(n_max: int) -> Record:
     """Return a record for the harmonics 0 to n_max of the force."""
-    return Record(np.empty(n_max + 1, np.complex128), np.empty(5))
+    return Record(np.empty(n_max + 1, np.complex128), np.empty(NUMBERS))
 
 
 @inner
@@ -155,19 +158,30 @@ def _yielding_gap(
 ) -> tuple[float, float]:
     """Return the gap and the force [N] where the modes hold the tip at ``point`` and others give way.
 
-    ``d = point + C F(d)`` for a tip at rest, by secants: C is small against the compliance of any contact.
+    ``d = point + C F(d)`` for a tip at rest, by secants in a bracket: a contact may be far stiffer than 1/C.
     """
-    force = law_force(contact.law, point * lever.length, 0.0, inside, held)
-    before, miss_before = point, -lever.compliance * force
-    gap = point - miss_before
-    for _ in range(30):
+    gap, force = point, law_force(contact.law, point * lever.length, 0.0, inside, held)
+    miss = -lever.compliance * force
+    before, miss_before = gap, miss
+    low, high = (gap, math.inf) if miss < 0.0 else (-math.inf, gap)
+    gap -= miss
+    for _ in range(_YIELDING_TRIES):
+        if miss == 0.0:
+            break
         force = law_force(contact.law, gap * lever.length, 0.0, inside, held)
         miss = gap - point - lever.compliance * force
-        if abs(miss) < 1e-16 or miss == miss_before:
+        if miss < 0.0:
+            low = gap
+        else:
+            high = gap
+        if abs(miss) <= 1e-16 * (1.0 + abs(point)) or high - low <= 1e-16 * (1.0 + abs(point)):
             break
-        step = miss * (gap - before) / (miss - miss_before)
+        step = miss * (gap - before) / (miss - miss_before) if miss != miss_before else math.inf
         before, miss_before = gap, miss
         gap -= step
+        if not low < gap < high:
+            # without a bracket attraction grows faster than the lever pulls back, and the root is farther out
+            gap = 0.5 * (low + high) if math.isfinite(high - low) else before - 2.0 * miss
     if has_viscosity(contact.law):
         stiffness, _ = law_slopes(contact.law, gap * lever.length, 0.0, inside, held)
         velocity = rate * lever.speed / (1.0 - lever.compliance * lever.length * stiffness)
@@ -356,19 +370,14 @@ class _Passage(NamedTuple):
 
 
 @inner
-def _first_passage(levels: _Floats, count: int, region: int, length: float, work: _Floats) -> _Passage:
-    """Return where a step leaves the region between two levels."""
-    low = levels[region - 1] if region > 0 else -math.inf
-    high = levels[region] if region < count else math.inf
-    start, end, gap = work[_RATE, 0], work[_RATE, _END], work[_GAP, _END]
+def _first_passage(low: float, high: float, length: float, work: _Floats) -> _Passage:
+    """Return where a step leaves the region between two points."""
+    start, end, point = work[_RATE, 0], work[_RATE, _END], work[_POINT, _END]
     turns = start * end < 0.0
-    below, above = gap < low, gap > high
+    below, above = point < low, point > high
     if not (turns or below or above):
         return _Passage(0, 0.0, 0.0, 0.0, -1.0)
     c = _hermite(work, length)
-    shift = work[_POINT, _END] - gap
-    low += shift
-    high += shift
     turning, bottom = 0.0, -1.0
     if turns:
         turning = _root(c, 1, 0.0, 0.0, 1.0, 1.0 if end > 0.0 else -1.0)
@@ -409,7 +418,7 @@ def _land(
     error = 0.0
     for _ in range(_LANDING_TRIES):
         error = _step(lever, contact, Z, slope, x * length, inside, held, tolerance, work)
-        miss = work[_GAP, _END] - level
+        miss = work[_POINT, _END] - level
         if abs(miss) <= landing or not math.isfinite(error):
             break
         if miss * passage.direction < 0.0:
@@ -446,17 +455,31 @@ def _inside(contact: Contact, mode: _Integers) -> bool:
 
 
 @inner
-def _place(lever: Lever, contact: Contact, Z: float, slope: float, mode: _Integers, work: _Floats) -> None:
+def _bounds(lever: Lever, contact: Contact, mode: _Integers) -> tuple[float, float]:
+    """Return between which points the tip is in its region: where the gap is at its levels."""
+    inside, held = _inside(contact, mode), mode[1] > 0
+    low, high = -math.inf, math.inf
+    if mode[0] > 0:
+        low = contact.levels[mode[0] - 1]
+    if mode[0] < contact.kinks:
+        high = contact.levels[mode[0]]
+    if lever.compliance != 0.0:
+        if mode[0] > 0:
+            low -= lever.compliance * law_force(contact.law, low * lever.length, 0.0, inside, held)
+        if mode[0] < contact.kinks:
+            high -= lever.compliance * law_force(contact.law, high * lever.length, 0.0, inside, held)
+    return low, high
+
+
+@inner
+def _place(lever: Lever, contact: Contact, mode: _Integers, work: _Floats) -> None:
     """Find the region of the first row; ``held`` is kept where the gap allows both."""
+    point = work[_POINT, 0]
     for _ in range(2):
-        for region in range(contact.count + 1):
+        for region in range(contact.kinks + 1):
             mode[0] = region
-            inside = _inside(contact, mode)
-            _evaluate(lever, contact, Z, slope, 0.0, inside, mode[1] > 0, work, 0, 0)
-            gap = work[_GAP, 0]
-            if region == contact.count or gap < contact.levels[region]:
-                break
-            if gap == contact.levels[region] and work[_RATE, 0] < 0.0:
+            _, high = _bounds(lever, contact, mode)
+            if point < high or (point == high and work[_RATE, 0] < 0.0):
                 break
         if contact.made < 0 or contact.lost < 0 or mode[0] > contact.lost:
             mode[1] = 0
@@ -465,21 +488,17 @@ def _place(lever: Lever, contact: Contact, Z: float, slope: float, mode: _Intege
 
 
 @inner
-def _wrong_side(levels: _Floats, count: int, region: int, landing: float, work: _Floats) -> int:
-    """Return to which side the first row must go before a step, 0 if it is where it belongs.
+def _wrong_side(low: float, high: float, landing: float, work: _Floats) -> int:
+    """Return to which side of its region the first row must go before a step, 0 if it is where it belongs.
 
-    On a level the velocity decides, and where it vanishes the acceleration.
+    On a bound the velocity decides, and where it vanishes the acceleration.
     """
-    gap = work[_GAP, 0]
+    point = work[_POINT, 0]
     motion = work[_RATE, 0] if work[_RATE, 0] != 0.0 else work[_BEND, 0]
-    if region > 0:
-        over = gap - levels[region - 1]
-        if over < -landing or (over <= landing and motion < 0.0):
-            return -1
-    if region < count:
-        over = gap - levels[region]
-        if over > landing or (over >= -landing and motion > 0.0):
-            return 1
+    if point < low - landing or (point <= low + landing and motion < 0.0):
+        return -1
+    if point > high + landing or (point >= high - landing and motion > 0.0):
+        return 1
     return 0
 
 
@@ -504,22 +523,22 @@ def _tail_limit(tail: float, work: _Floats) -> float:
     span = max(work[_GAP, 0], 0.0) + tail
     rate = work[_RATE, 0]
     if rate < 0.0:
-        return -(1.0 - 1.0 / _TAIL_RATIO) * span / rate
+        return float(-(1.0 - 1.0 / _TAIL_RATIO) * span / rate)
     return (_TAIL_RATIO - 1.0) * span / rate if rate > 0.0 else math.inf
 
 
 @inner
-def _aim(levels: _Floats, count: int, region: int, work: _Floats) -> float:
-    """Return about how long a step is that ends on the next level.
+def _aim(low: float, high: float, work: _Floats) -> float:
+    """Return about how long a step is that ends on a bound of its region.
 
     A step well beyond it would see the force of the wrong side, which is not smooth there, and be refused.
     """
-    gap, rate, bend = work[_GAP, 0], work[_RATE, 0], work[_BEND, 0]
+    point, rate, bend = work[_POINT, 0], work[_RATE, 0], work[_BEND, 0]
     length = math.inf
-    if region > 0:
-        length = _reach(gap - levels[region - 1], -rate, -bend)
-    if region < count:
-        length = min(length, _reach(levels[region] - gap, rate, bend))
+    if low > -math.inf:
+        length = _reach(point - low, -rate, -bend)
+    if high < math.inf:
+        length = min(length, _reach(high - point, rate, bend))
     return length
 
 
@@ -565,7 +584,7 @@ def _trend(lever: Lever, contact: Contact, inside: bool, held: bool, work: _Floa
     by_gap, by_velocity = law_slopes(
         contact.law, work[_GAP, row] * lever.length, work[_RATE, row] * lever.speed, inside, held
     )
-    return by_gap * work[_RATE, row] * lever.length + by_velocity * work[_BEND, row] * lever.speed
+    return float(by_gap * work[_RATE, row] * lever.length + by_velocity * work[_BEND, row] * lever.speed)
 
 
 @inner
@@ -640,7 +659,7 @@ def _load(
     work[_COSINE, 0], work[_SINE, 0] = math.cos(theta), math.sin(theta)
     _evaluate(lever, contact, Z, slope, 0.0, _inside(contact, mode), mode[1] > 0, work, 0, 0)
     if mode[0] < 0:
-        _place(lever, contact, Z, slope, mode, work)
+        _place(lever, contact, mode, work)
         _evaluate(lever, contact, Z, slope, 0.0, _inside(contact, mode), mode[1] > 0, work, 0, 0)
 
 
@@ -688,16 +707,18 @@ def advance(
     limit = int(_STEPS_A_PERIOD * (1.0 + (end - start) / PERIOD))
     theta, h, steps, flips = start, min(_FIRST, widest), 0, 0
     tail = tail_range(contact.law) / lever.length if has_tail(contact.law) else 0.0
+    low, high = _bounds(lever, contact, mode)
     cautious = False
     status = DONE
     while end - theta > 1e-14 * (1.0 + abs(end)):
-        side = _wrong_side(contact.levels, contact.count, mode[0], landing, work)
+        side = _wrong_side(low, high, landing, work)
         if side != 0:
             flips += 1
             if flips > _FLIPS:
                 status = CHATTER
                 break
             _cross(contact, mode, side)
+            low, high = _bounds(lever, contact, mode)
             _evaluate(lever, contact, Z, slope, 0.0, _inside(contact, mode), mode[1] > 0, work, 0, 0)
             continue
         if steps >= limit:
@@ -710,7 +731,7 @@ def advance(
         if tail > 0.0 and not inside:
             length = min(length, _tail_limit(tail, work))
             last = length == end - theta
-        aim = _aim(contact.levels, contact.count, mode[0], work)
+        aim = _aim(low, high, work)
         if 0.0 < aim < length:
             length, last = aim, False
         error = _step(lever, contact, Z, slope, length, inside, held, tolerance, work)
@@ -721,14 +742,15 @@ def advance(
                 suggested = min(
                     length * min(_SAFETY * _eighth_root(1.0 / error), 1.0 if cautious else _GROW), widest
                 )
-            passage = _first_passage(contact.levels, contact.count, mode[0], length, work)
+            passage = _first_passage(low, high, length, work)
             bottom = passage.bottom
             if passage.direction != 0:
-                level, full = contact.levels[mode[0] if passage.direction > 0 else mode[0] - 1], length
+                level, full = high if passage.direction > 0 else low, length
                 length, error = _land(
                     lever, contact, Z, slope, length, passage, level, inside, held, tolerance, landing, work
                 )
                 last = False
+                steps += _LANDING_STEPS
                 # a contact shorter than the step: its bottom comes before the end of it
                 bottom *= full / length if length > 0.0 else 0.0
         if not error <= 1.0:
@@ -739,7 +761,7 @@ def advance(
             cautious = True
             continue
         if measure:
-            touching = mode[0] < contact.count and contact.levels[mode[0]] <= 0.0
+            touching = mode[0] < contact.kinks and contact.levels[mode[0]] <= 0.0
             _sum_step(length, touching, work, record)
             _probe_step(lever, contact, Z, slope, length, bottom, inside, held, work, record)
         theta = end if last else theta + length
@@ -1074,7 +1096,7 @@ class Contacts(NamedTuple):
     law: _Floats
     levels: _Floats
     marks: _Integers
-    """(point, 4): count, zero, made and lost of `Contact`."""
+    """(point, 4): kinks, zero, made and lost of `Contact`."""
 
 
 @inner

@@ -24,9 +24,9 @@ from overtone.contact.law import Law
 from overtone.dynamics.balance import EXTRAS, Lever, Motion, Sums, force_on_motion
 from overtone.kernels import inner, kernel
 
-_AMPLITUDES, _BEYOND = 220, 30  # grid lines up to the free amplitude and a bit, and above
-_GAPS = 280
-_ROWS = 35  # of them that a thread takes at a time
+_AMPLITUDES, _BEYOND = 160, 30  # grid lines up to the free amplitude and a bit, and above
+_GAPS = 220
+_ROWS = 28  # of them that a thread takes at a time
 _FINE = 0.5e-9  # amplitudes are resolved to a few per cent of this, or of themselves [m]
 _FINEST = 0.02e-9  # closest gaps are resolved to this near contact, to a tenth of themselves farther out [m]
 _EDGE = 1e-9  # of the squared drive: rounding at the edge of a sheet

@@ -24,7 +24,7 @@ from overtone.dynamics.balance import (
 )
 from overtone.dynamics.system import Setup
 from overtone.harmonics import far_phase
-from overtone.quantities import named_array
+from overtone.quantities import named_variable
 
 _Floats = npt.NDArray[np.float64]
 _Complex = npt.NDArray[np.complex128]
@@ -117,8 +117,8 @@ def states_dataset(
     orders = np.arange(f.shape[-1])
     forces = f * np.exp(-1j * frame[..., None] * orders)
 
-    def named(name: str, values: Any, **attributes: Any) -> xr.DataArray:
-        return named_array(name, np.where(lost, np.nan, values), dims, coords, **attributes)
+    def named(name: str, values: Any) -> xr.Variable:
+        return named_variable(name, np.where(lost, np.nan, values), dims)
 
     variables = {"A1": named("A1", np.abs(read)), "phi1": named("phi1", phase)}
     for n in range(min(keep, f.shape[-1] - 1) + 1):
@@ -128,10 +128,9 @@ def states_dataset(
         elif n > 1:
             variables[f"A{n}"] = named(f"A{n}", np.abs(answer))
             variables[f"phi{n}"] = named(f"phi{n}", (n * phase - np.angle(answer)) % (2.0 * math.pi))
-    kept = np.where(lost[..., None], np.nan, forces)[..., : keep + 1]
-    along = {**coords, "harmonic": ("harmonic", orders[: kept.shape[-1]])}
+    kept = np.moveaxis(np.where(lost[..., None], np.nan, forces)[..., : keep + 1], -1, 0)
     for name, part in (("F_cons", kept.real), ("F_diss", -kept.imag)):
-        variables[name] = named_array(name, np.moveaxis(part, -1, 0), ("harmonic", *dims), along)
+        variables[name] = named_variable(name, part, ("harmonic", *dims))
     variables["Z"] = named("Z", x[..., 3])
     variables["indentation"] = named("indentation", -extras[..., LOWEST])
     variables["contact_time"] = named("contact_time", extras[..., CONTACT])
@@ -139,13 +138,7 @@ def states_dataset(
     variables["pull_force"] = named("pull_force", extras[..., PULL])
     variables["dissipation"] = named("dissipation", extras[..., WORK])
     variables["virial"] = named("virial", 0.5 * np.abs(read) * forces[..., 1].real)
-    flags = {
-        name: np.asarray(value) if name == "flag_values" else value for name, value in STATE_FLAGS.items()
-    }
-    variables["state"] = xr.DataArray(
-        status,
-        dims=tuple(dims),
-        coords=dict(coords),
-        attrs={"units": "1", "long_name": "what was found", **flags},
-    )
-    return xr.Dataset(variables, attrs={"detector": probe.detector.kind})
+    flags = {**STATE_FLAGS, "flag_values": np.array(STATE_FLAGS["flag_values"], np.int8)}
+    variables["state"] = xr.Variable(dims, status, {"units": "1", "long_name": "what was found", **flags})
+    along = {**coords, "harmonic": ("harmonic", orders[: len(kept)])}
+    return xr.Dataset(variables, along, {"detector": probe.detector.kind})

@@ -30,10 +30,12 @@ from overtone.dynamics.states import Motions, sample_dims, states_dataset
 from overtone.dynamics.system import Laws, laws, setup
 from overtone.errors import OvertoneError
 from overtone.probe import Probe, format_probe
-from overtone.quantities import named_array
+from overtone.quantities import named_variable
 
 _BLOCK = 16  # states a thread takes at a time
-_NEAR = 0.1  # of the free amplitude: folds this far outside the heights wanted are looked for
+_NEAR = 0.02  # of the free amplitude: folds this far outside the heights wanted are looked for
+_INSIDE = (0.003, 0.01, 0.03, 0.1)  # of the free amplitude or the branch: where a fold is started from
+_SHORTEST_WALK = 1e-4  # of the free amplitude: a state this far from a fold is walked to in eight steps
 _SAME = 1e-9  # of the free amplitude: two states nearer than this are one
 
 _Floats = npt.NDArray[np.float64]
@@ -107,18 +109,19 @@ def _sign(branch: Branch, lever: Lever, law: Law) -> float:
 
 
 def _fold(arc: Arc, last: bool, lever: Lever, law: Law) -> Fold | None:
-    """Find the fold of the full motion next to the end of an arc."""
-    k, inner = (-1, -2) if last else (0, 1)
-    along = np.array([arc.gap[inner] - arc.gap[k], arc.amplitude[inner] - arc.amplitude[k]])
-    step = float(np.hypot(*along))
-    if step == 0.0:
-        return None
-    along /= step
-    for shrink in (1.0, 0.1, 0.01):  # a step too long leads to where the first harmonic is no guide
-        x = np.array([arc.gap[k], arc.amplitude[k], arc.phase[k], arc.height[k]])
+    """Find the fold of the full motion next to the end of an arc, from a state of the full motion inside it."""
+    k = -1 if last else 0
+    free = abs(lever.tip[1]) * lever.force
+    for inside in _INSIDE:
+        height = arc.height[k] + (-inside if last else inside) * min(free, np.ptp(arc.height))
+        x = _seeds(Branch(arc, None, None, 0.0), np.array([height]))[0]
         b, f, extras = np.zeros_like(lever.tip), np.empty_like(lever.tip), np.empty(EXTRAS)
-        first = shrink * min(step, 0.01 * arc.amplitude[k])
-        if find_fold(x, b, along, first, last, lever, law, f, extras) == FOUND:
+        held = np.array([HOLD_HEIGHT, height, 0.0, 0.0])
+        if balance(x, b, held, lever, law, f, extras)[0] != FOUND:
+            continue
+        along = np.array([arc.gap[k], arc.amplitude[k]]) - x[:2]
+        step = float(np.hypot(*along))
+        if step > 0.0 and find_fold(x, b, along / step, 0.3 * step, last, lever, law, f, extras) == FOUND:
             return Fold(x, b)
     return None
 
@@ -192,21 +195,28 @@ def _walk(
     states: Motions, i: int, heights: _Floats, branch: Branch, lever: Lever, law: Law, free: float
 ) -> None:
     """Find a state that was missed by stepping to it along the branch, from a neighbour or a fold, in place."""
-    starts = [(fold.x, fold.b) for fold in (branch.low, branch.high) if fold is not None]
+    arc, height = branch.arc, float(heights[i])
+    seed = _seeds(branch, heights[i : i + 1])[0]
+    starts = []
+    for fold, end, inner in ((branch.low, 0, 1), (branch.high, -1, -2)):
+        if fold is not None:
+            away = np.array([arc.gap[inner] - arc.gap[end], arc.amplitude[inner] - arc.amplitude[end]])
+            # the full motion may leave its fold the other way: the sign tells
+            starts += [(fold.x, fold.b, away), (fold.x, fold.b, -away)]
     good = np.flatnonzero(states.status == FOUND)
     if good.size:
-        near = good[np.argmin(np.abs(heights[good] - heights[i]))]
-        starts.append((states.x[near], states.b[near]))
-    starts.sort(key=lambda start: abs(float(start[0][3]) - heights[i]))
-    seed = _seeds(branch, heights[i : i + 1])[0]
-    for start in starts:
-        x, b = start[0].copy(), start[1].copy()
-        towards = seed[:2] - x[:2]
-        length = float(np.hypot(*towards))
-        if not length > 0.0:
+        near = good[np.argmin(np.abs(heights[good] - height))]
+        starts.append((states.x[near], states.b[near], seed[:2] - states.x[near, :2]))
+    starts.sort(key=lambda start: abs(float(start[0][3]) - height))
+    for start, motion, towards in starts:
+        x, b = start.copy(), motion.copy()
+        size = float(np.hypot(*towards))
+        if not size > 0.0:
             continue
-        along, height = towards / length, float(heights[i])
-        reached, sign = walk_to_height(x, b, along, length, height, lever, law, states.f[i], states.extras[i])
+        length = max(float(np.hypot(*(seed[:2] - x[:2]))), _SHORTEST_WALK * free)
+        reached, sign = walk_to_height(
+            x, b, towards / size, length, height, lever, law, states.f[i], states.extras[i]
+        )
         if reached == FOUND and _on_branch(branch, x, np.array(sign), seed, free):
             states.x[i], states.b[i], states.status[i] = x, b, FOUND
             return
@@ -355,7 +365,7 @@ def steady_states(
     along = (*sample_dims(sample.shape, dims), "z", "branch")
     coords = {"z": ("z", heights, {"units": "m", "long_name": "height of the base"})}
     result = states_dataset(device, states.reshaped(wide), along, coords, keep)
-    result["stable"] = named_array("stable", stable.reshape(wide), along, coords)
+    result["stable"] = named_variable("stable", stable.reshape(wide), along)
     return provenance.record(
         result, "steady_states", probe=format_probe(probe), model=sample.model.key, n_max=n_max
     )

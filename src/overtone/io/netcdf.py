@@ -140,7 +140,7 @@ def read(path: Path) -> Recording:
     """Read a netCDF file as a recording: every float variable over known dimensions is a channel.
 
     A recording has one set of dimensions, that of ``A1`` or else the commonest; variables over
-    others are left out, and notes name them.
+    others are left out, and notes name them. A dimension ``direction`` becomes that of the channels.
 
     Parameters
     ----------
@@ -155,11 +155,12 @@ def read(path: Path) -> Recording:
     with path.open("rb") as stream:
         dataset = _load(path, stream.read(8))
     notes: list[str] = []
-    usable = {
-        str(name): array
-        for name, array in dataset.data_vars.items()
+    parts = [part for name, array in dataset.data_vars.items() for part in _by_direction(str(name), array)]
+    usable = [
+        (name, array, direction)
+        for name, array, direction in parts
         if array.dtype.kind == "f" and array.ndim > 0 and array.size > 0 and set(array.dims) <= _KNOWN_DIMS
-    }
+    ]
     if not usable:
         raise FileFormatError(
             f"{path.name} holds no channel",
@@ -167,11 +168,10 @@ def read(path: Path) -> Recording:
             got=_listed({name: array.dims for name, array in dataset.data_vars.items()}) or "no variables",
             hint="a file that overtone saved, or a netCDF file with these dimension names",
         )
-    dims = _common_dims(usable)
-    channels = []
-    for name, array in usable.items():
-        if array.dims == dims:
-            channels.append(_channel(name, array, notes))
+    dims = _common_dims({name: array for name, array, _ in usable})
+    channels = [
+        _channel(name, array, direction, notes) for name, array, direction in usable if array.dims == dims
+    ]
     left_out = [str(name) for name in dataset.data_vars if name not in {channel.name for channel in channels}]
     if left_out:
         notes.append(
@@ -185,7 +185,7 @@ def read(path: Path) -> Recording:
         coords=_coordinates(dataset, dims, notes),
         channels=tuple(channels),
         metadata={str(key): _as_text(value) for key, value in dataset.attrs.items()},
-        notes=tuple(notes),
+        notes=tuple(dict.fromkeys(notes)),
     )
 
 
@@ -283,7 +283,15 @@ def _common_dims(usable: dict[str, xr.DataArray]) -> tuple[str, ...]:
     return tuple(map(str, counts.most_common(1)[0][0]))
 
 
-def _channel(name: str, array: xr.DataArray, notes: list[str]) -> Channel:
+def _by_direction(name: str, array: xr.DataArray) -> list[tuple[str, xr.DataArray, str | None]]:
+    """Return a variable once for each direction that it holds, or as it is."""
+    if "direction" not in array.dims or "direction" not in array.coords:
+        return [(name, array, None)]
+    names = array["direction"].values
+    return [(name, array.isel(direction=k, drop=True), str(names[k])) for k in range(names.size)]
+
+
+def _channel(name: str, array: xr.DataArray, direction: str | None, notes: list[str]) -> Channel:
     values = array.values.astype(np.float64)
     stated = str(array.attrs.get("units", "")).strip()
     known = to_si(stated) if stated else None
@@ -291,8 +299,8 @@ def _channel(name: str, array: xr.DataArray, notes: list[str]) -> Channel:
         notes.append(
             f"{name}: the unit {stated!r} is not known" if stated else f"{name}: the file states no unit"
         )
-        return Channel(name, values, None)
-    return Channel(name, values * known[0], known[1])
+        return Channel(name, values, None, direction)
+    return Channel(name, values * known[0], known[1], direction)
 
 
 def _coordinates(

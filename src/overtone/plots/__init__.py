@@ -6,12 +6,15 @@ is at the top, light grey is missing data, and a grey hatched veil covers what t
 
 from overtone.plots.canvas import png_bytes
 from overtone.plots.categories import draw_flags
+from overtone.plots.curve import curve_figure
 from overtone.plots.figures import energy_figure, forces_figure, observables_figure, properties_figure
 from overtone.plots.histograms import histogram_figure
 from overtone.plots.maps import draw_map
 from overtone.plots.overview import overview_figure
+from overtone.plots.reconstruction import reconstruction_figure
 
 __all__ = [
+    "curve_figure",
     "draw_flags",
     "draw_map",
     "energy_figure",
@@ -21,4 +24,5 @@ __all__ = [
     "overview_figure",
     "png_bytes",
     "properties_figure",
+    "reconstruction_figure",
 ]
