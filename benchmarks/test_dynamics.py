@@ -71,7 +71,9 @@ def test_time_integration(benchmark: Any, method: str) -> None:
 def test_first_harmonic_of_a_whole_scan(benchmark: Any) -> None:
     rng = np.random.default_rng(0)
     modulus = np.exp(rng.uniform(np.log(5e7), np.log(5e9), (400, 1000)))
-    scan = ot.sample("dmt", modulus=modulus, poisson_ratio=0.3, adhesion=rng.uniform(1e-9, 2e-8, modulus.shape))
+    scan = ot.sample(
+        "dmt", modulus=modulus, poisson_ratio=0.3, adhesion=rng.uniform(1e-9, 2e-8, modulus.shape)
+    )
     ot.hold_amplitude(lever(), scan, setpoint=0.5, n_max=1)
     states = benchmark(ot.hold_amplitude, lever(), scan, setpoint=0.5, n_max=1)
     benchmark.extra_info["states per call"] = modulus.size

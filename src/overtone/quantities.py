@@ -36,7 +36,9 @@ _QUANTITIES = (
     Quantity("contact_time", "t_c", "1", "share of a period in contact", "motion"),
     Quantity("peak_force", "F_max", "N", "strongest repulsion in a cycle", "motion"),
     Quantity("pull_force", "F_min", "N", "strongest attraction in a cycle, negative", "motion"),
-    Quantity("jump", "", "1", "whether the motion jumped to another branch since the height before", "motion"),
+    Quantity(
+        "jump", "", "1", "whether the motion jumped to another branch since the height before", "motion"
+    ),
     Quantity("stable", "", "1", "whether the motion persists when it is disturbed", "motion"),
     Quantity("F_cons", "F_cons", "N", "conservative force harmonic (cosine coefficient)", "force"),
     Quantity("F_diss", "F_diss", "N", "dissipative force harmonic (sine coefficient)", "force"),
@@ -45,7 +47,9 @@ _QUANTITIES = (
     Quantity("force_mean", "F", "N", "force between tip and sample, from A0", "force"),
     Quantity("damping", "Gamma", "N s/m", "damping coefficient of a force -Gamma d'", "force"),
     Quantity("truncation", "", "N", "about what a force that decays beyond the far end would add", "quality"),
-    Quantity("closure", "", "1", "share of CONS_1 that the force on its motion leaves unexplained", "quality"),
+    Quantity(
+        "closure", "", "1", "share of CONS_1 that the force on its motion leaves unexplained", "quality"
+    ),
     Quantity("A0_gain", "", "1", "mean deflection read over the one that the force implies", "quality"),
     Quantity("A0_offset", "", "m", "mean deflection read where the force implies none", "quality"),
     Quantity("dissipation", "E_dis", "J", "energy lost in the contact per cycle", "energy"),

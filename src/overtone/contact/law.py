@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from overtone.contact import terms
 from overtone.contact.adhesive import Curve, branch
-from overtone.kernels import inner, kernel
+from overtone.kernels import inlined, inner, kernel
 
 COLUMNS = 9
 
@@ -45,7 +45,7 @@ class Law(NamedTuple):
     """Gap above which it lets go, infinity without hysteresis [m]."""
 
 
-@inner
+@inlined
 def _power(depth: float, exponent: float) -> float:
     """Return ``depth^p`` for depth >= 0."""
     if exponent == 1.5:
@@ -70,7 +70,7 @@ def _curve_force(row: _Floats, d: float) -> float:
     return row[8] * force
 
 
-@inner
+@inlined
 def law_force(law: _Floats, d: float, v: float, inside: bool, held: bool) -> float:
     """Return the force of a law at a gap [m] and its velocity [m/s]."""
     total = 0.0

@@ -35,6 +35,7 @@ _WIDEST_PIECE = 6.0  # phase of the highest harmonic that one piece of ten nodes
 _WIDEST_EDGE = 15.0  # and one of 24 nodes
 _ITERATIONS = 25
 _TOLERANCE = 1e-10  # of what is left of the balance, relative to the drive
+_LOST = 1e6
 _CLOSE = 1e-4
 _LONGEST_STEP = 0.3  # of the amplitude
 _WIDEST_TURN = 0.5  # of the phase [rad]
@@ -480,6 +481,64 @@ def _even_rows(matrix: _Floats, right: _Floats) -> None:
                 matrix[i, j] /= largest
 
 
+@inner
+def _iterate(
+    x: _Floats,
+    b: _Complex,
+    held: _Floats,
+    lever: Lever,
+    law: Law,
+    f: _Complex,
+    extras: _Floats,
+    steered: int,
+) -> tuple[int, float, float]:
+    """Solve the balance in place, so many harmonics by Newton's method and the others by substitution."""
+    orders = b.shape[0]
+    size = max(4, 2 * steered + 2)
+    P, S = np.empty(2 * steered + 1, np.complex128), np.zeros(2 * steered + 1, np.complex128)
+    # where nothing depends on velocity its derivatives stay zero and are not summed
+    turns = np.empty(max(orders, 2 * steered + 1), np.complex128)
+    full = Sums(f, P, S if has_viscosity(law.table) else S[:0], extras, turns)
+    plain = Sums(f, P[:0], S[:0], extras, turns)
+    matrix, factors, right = np.empty((size, size)), np.empty((size, size)), np.empty(size)
+    unit = abs(lever.tip[1]) * lever.force
+    sign, older, before, left = 0.0, math.inf, math.inf, math.inf
+    for _ in range(_ITERATIONS):
+        if not x[1] > 0.0:
+            return NOT_CONVERGED, 0.0, math.inf
+        # close to the end the derivatives of the step before serve as well, and cost nothing
+        steer = sign == 0.0 or left > _CLOSE or left > 0.1 * older
+        force_on_motion(Motion(x[0], x[1], b), lever.omega, law, full if steer else plain)
+        left = _fill_right(right, x, b, held, lever, f, steered, unit)
+        for n in range(steered + 1, orders):
+            left = max(left, abs(b[n] / lever.tip[n] - f[n]) / lever.force)
+            b[n] = lever.tip[n] * f[n]
+        if not left < _LOST:
+            return NOT_CONVERGED, 0.0, math.inf
+        if sign != 0.0 and (left < _TOLERANCE or (left < _STALLED and left >= 0.5 * before)):
+            return (FOUND if extras[TOUCHES] == 0.0 else MANY_TOUCHES), sign, left
+        if steer:
+            _fill_matrix(matrix, x, held, lever, P, S, steered, unit)
+        factors[:] = matrix
+        _even_rows(factors, right)
+        sign = solve_in_place(factors, right)
+        if sign == 0.0:
+            return NOT_CONVERGED, 0.0, left
+        older, before = before, left
+        # no further in one step than the force keeps its shape
+        step = max(abs(right[0]), abs(right[1])) * unit
+        shrink = min(1.0, _LONGEST_STEP * x[1] / step) if step > 0.0 else 1.0
+        if abs(right[2]) * shrink > _WIDEST_TURN:
+            shrink = _WIDEST_TURN / abs(right[2])
+        x[0] += shrink * right[0] * unit
+        x[1] += shrink * right[1] * unit
+        x[2] += shrink * right[2]
+        x[3] += shrink * right[3] * unit
+        for n in range(2, steered + 1):
+            b[n] += shrink * unit * complex(right[2 * n], right[2 * n + 1])
+    return NOT_CONVERGED, sign, left
+
+
 @kernel
 def balance(
     x: _Floats, b: _Complex, held: _Floats, lever: Lever, law: Law, f: _Complex, extras: _Floats
@@ -512,50 +571,17 @@ def balance(
         What is left of the balance relative to the drive, largest of all harmonics.
     """
     orders = b.shape[0]
-    steered = min(orders - 1, STEERED)
-    size = max(4, 2 * steered + 2)
-    P, S = np.empty(2 * steered + 1, np.complex128), np.zeros(2 * steered + 1, np.complex128)
-    # where nothing depends on velocity its derivatives stay zero and are not summed
-    turns = np.empty(max(orders, 2 * steered + 1), np.complex128)
-    full = Sums(f, P, S if has_viscosity(law.table) else S[:0], extras, turns)
-    plain = Sums(f, P[:0], S[:0], extras, turns)
-    matrix, factors, right = np.empty((size, size)), np.empty((size, size)), np.empty(size)
-    unit = abs(lever.tip[1]) * lever.force
-    sign, older, before, left = 0.0, math.inf, math.inf, math.inf
-    for _ in range(_ITERATIONS):
-        if not x[1] > 0.0:
-            return NOT_CONVERGED, 0.0, math.inf
-        # close to the end the derivatives of the step before serve as well, and cost nothing
-        steer = sign == 0.0 or left > _CLOSE or left > 0.1 * older
-        force_on_motion(Motion(x[0], x[1], b), lever.omega, law, full if steer else plain)
-        left = _fill_right(right, x, b, held, lever, f, steered, unit)
-        for n in range(steered + 1, orders):
-            left = max(left, abs(b[n] / lever.tip[n] - f[n]) / lever.force)
-            b[n] = lever.tip[n] * f[n]
-        if not math.isfinite(left):
-            return NOT_CONVERGED, 0.0, math.inf
-        if sign != 0.0 and (left < _TOLERANCE or (left < _STALLED and left >= 0.5 * before)):
-            return (FOUND if extras[TOUCHES] == 0.0 else MANY_TOUCHES), sign, left
-        if steer:
-            _fill_matrix(matrix, x, held, lever, P, S, steered, unit)
-        factors[:] = matrix
-        _even_rows(factors, right)
-        sign = solve_in_place(factors, right)
-        if sign == 0.0:
-            return NOT_CONVERGED, 0.0, left
-        older, before = before, left
-        # no further in one step than the force keeps its shape
-        step = max(abs(right[0]), abs(right[1])) * unit
-        shrink = min(1.0, _LONGEST_STEP * x[1] / step) if step > 0.0 else 1.0
-        if abs(right[2]) * shrink > _WIDEST_TURN:
-            shrink = _WIDEST_TURN / abs(right[2])
-        x[0] += shrink * right[0] * unit
-        x[1] += shrink * right[1] * unit
-        x[2] += shrink * right[2]
-        x[3] += shrink * right[3] * unit
-        for n in range(2, steered + 1):
-            b[n] += shrink * unit * complex(right[2 * n], right[2 * n + 1])
-    return NOT_CONVERGED, sign, left
+    if orders - 1 <= STEERED:
+        return _iterate(x, b, held, lever, law, f, extras, orders - 1)
+    # where an attraction is steep against a soft lever, substitution runs away: then all by Newton's method
+    start, motion = x.copy(), b.copy()
+    for steered in (STEERED, orders - 1):
+        status, sign, left = _iterate(x, b, held, lever, law, f, extras, steered)
+        if status != NOT_CONVERGED:
+            break
+        if steered == STEERED:
+            x[:], b[:] = start, motion
+    return status, sign, left
 
 
 @kernel

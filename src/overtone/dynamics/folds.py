@@ -20,7 +20,14 @@ _Complex = npt.NDArray[np.complex128]
 
 @inner
 def _step_along(
-    x: _Floats, b: _Complex, along: _Floats, length: float, lever: Lever, law: Law, f: _Complex, extras: _Floats
+    x: _Floats,
+    b: _Complex,
+    along: _Floats,
+    length: float,
+    lever: Lever,
+    law: Law,
+    f: _Complex,
+    extras: _Floats,
 ) -> int:
     """Move a state by a length [m] along a direction in (g, A), in place; return a status."""
     held = np.array([HOLD_LINE, along[0], along[1], along[0] * x[0] + along[1] * x[1] + length])

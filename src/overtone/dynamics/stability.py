@@ -15,7 +15,7 @@ from overtone.dynamics.system import Laws, Setup
 from overtone.dynamics.transient import Motion, contacts_of, lever_of, motion_under
 
 _BLOCK = 8
-_TOLERANCE = 1e-11  # of the integration, in units of the free amplitude
+_TOLERANCE = 1e-10  # of the integration, in units of the free amplitude
 _MARGIN = 1e-7  # a multiplier this near to one is one: a state on a fold
 
 _Floats = npt.NDArray[np.float64]

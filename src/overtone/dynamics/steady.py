@@ -32,7 +32,7 @@ from overtone.errors import OvertoneError
 from overtone.probe import Probe, format_probe
 from overtone.quantities import named_variable
 
-_BLOCK = 16  # states a thread takes at a time
+_BLOCK = 8  # states a thread takes at a time
 _NEAR = 0.02  # of the free amplitude: folds this far outside the heights wanted are looked for
 _INSIDE = (0.003, 0.01, 0.03, 0.1)  # of the free amplitude or the branch: where a fold is started from
 _SHORTEST_WALK = 1e-4  # of the free amplitude: a state this far from a fold is walked to in eight steps
