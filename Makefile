@@ -1,6 +1,6 @@
 # One command for each job; each runs in the current environment.
 
-.PHONY: install test lint format bench demo picture clean
+.PHONY: install test lint format bench demo picture validation clean
 
 install:  ## this package with everything a developer needs
 	python -m pip install -e ".[dev]"
@@ -25,6 +25,9 @@ demo:  ## the README's main command
 
 picture:  ## the picture of the README, made by the program
 	python docs/picture.py
+
+validation:  ## figures and tables of docs/validation.md
+	python docs/validation.py
 
 clean:  ## what tests and builds leave behind
 	rm -rf .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks build dist overtone-demo

@@ -10,6 +10,7 @@ from overtone.contact.sample import Sample, sample
 from overtone.contact.terms import adhesion_shape, sphere_force
 from overtone.dynamics.balance import FOUND, NO_STATE
 from overtone.dynamics.hold import hold_amplitude
+from overtone.dynamics.steady import steady_states
 from overtone.errors import OvertoneError
 from overtone.harmonics import energy, to_force_harmonics
 from overtone.probe import Cantilever, Detector, Drive, Mode, Probe, Tip
@@ -156,3 +157,65 @@ def test_a_probe_without_radius_is_refused() -> None:
     )
     with pytest.raises(OvertoneError, match="no tip radius"):
         hold_amplitude(probe, section_3_sample(), setpoint=0.5)
+
+
+def test_attractive_states_that_touch_lightly_are_found() -> None:
+    """The outermost state goes on into light contact; it is the one that `steady_states` has at its height."""
+    lever = Probe.simple(
+        stiffness=40.0,
+        frequency=320e3,
+        quality_factor=400.0,
+        radius=10e-9,
+        drive_frequency=320e3,
+        free_amplitude=25e-9,
+    )
+    material = sample("dmt-viscous", modulus=1e9, poisson_ratio=0.35, adhesion=10e-9, viscosity=50.0)
+    held = hold_amplitude(lever, material, setpoint=[0.99, 0.9, 0.8], regime="attractive")
+    assert (held["state"] == FOUND).all()
+    assert float(held["indentation"][0]) < 0.0 < float(held["indentation"][1])
+    assert (held["F_cons"].sel(harmonic=1) > 0.0).all()
+    for k in range(3):
+        states = steady_states(lever, material, z=float(held["Z"][k]))
+        off = np.nanmin(np.abs(states["A1"].values - float(held["A1"][k])))
+        assert off < 1e-9 * 25e-9
+
+
+def test_soft_levers_on_stiff_sticky_samples_converge_with_many_harmonics() -> None:
+    """Substitution of the high harmonics runs away where 2 F_ad/a0 exceeds (n^2 - 1) k."""
+    lever = Probe.simple(
+        stiffness=0.5856,
+        frequency=300e3,
+        quality_factor=499.5,
+        radius=10e-9,
+        drive_frequency=300e3,
+        free_amplitude=67.79e-9,
+    )
+    material = sample("dmt", modulus=8.835e9, poisson_ratio=0.3, adhesion=28.23e-9)
+    states = [hold_amplitude(lever, material, setpoint=0.43, n_max=n) for n in (10, 20, 40)]
+    assert all(int(state["state"]) == FOUND for state in states)
+    Z = [float(state["Z"]) for state in states]
+    assert abs(Z[2] - Z[1]) < 0.2 * abs(Z[1] - Z[0])
+
+
+def test_iterations_that_run_away_end() -> None:
+    """A step to a negative amplitude once sent the quadrature into an endless loop."""
+    lever = Probe.simple(
+        stiffness=10.0,
+        frequency=303e3,
+        quality_factor=456.0,
+        radius=10e-9,
+        drive_frequency=303e3,
+        free_amplitude=85e-9,
+    )
+    states = steady_states(lever, section_3_sample(), z=[40e-9, 70e-9])
+    assert int((states["state"] == FOUND).sum()) >= 2
+
+
+def test_arrays_of_set_points() -> None:
+    both = hold_amplitude(section_3_probe(), section_3_sample(), setpoint=[0.3, 0.6])
+    assert both["A1"].dims == ("setpoint",)
+    for k, setpoint in enumerate((0.3, 0.6)):
+        one = hold_amplitude(section_3_probe(), section_3_sample(), setpoint=setpoint)
+        assert float(both["A2"][k]) == pytest.approx(float(one["A2"]), rel=1e-12, abs=0)
+    with pytest.raises(OvertoneError, match="regime"):
+        hold_amplitude(section_3_probe(), section_3_sample(), setpoint=0.5, regime="sideways")

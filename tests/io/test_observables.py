@@ -235,7 +235,7 @@ def test_an_optical_lever_needs_its_modes(afm_data: Path) -> None:
     )
     assert single is not None
     assert set(single.doubts) == {2, 3}
-    assert "25 to 40 % low" in single.doubts[2]
+    assert "7 to 40 % low" in single.doubts[2]
     modes = (
         Mode(40.0, 237.595e3, 400.0),
         Mode(1571.0, 1.489e6, 600.0, 3.473),

@@ -139,9 +139,9 @@ def open_sample(text: str) -> Any:
 def _material(key: str, texts: Mapping[str, Any], source: str) -> Any:
     """Return a material from texts with units; where they do not fit the model, say what it takes."""
     from overtone.contact.models import contact_model
-    from overtone.contact.sample import _OF_THE_PROBE, sample
+    from overtone.contact.sample import OF_THE_PROBE, sample
 
-    parameters = [q for q in contact_model(key).parameters if q.name not in _OF_THE_PROBE]
+    parameters = [q for q in contact_model(key).parameters if q.name not in OF_THE_PROBE]
     units = {q.name: "1" if "^p" in q.unit else q.unit for q in parameters}
     wanted = ", ".join(
         q.name + (f" [{q.unit}]" if q.unit != "1" else "") for q in parameters if q.default is None
@@ -153,7 +153,7 @@ def _material(key: str, texts: Mapping[str, Any], source: str) -> Any:
     )
     for name in texts:
         if name not in units:
-            of_the_probe = name in _OF_THE_PROBE
+            of_the_probe = name in OF_THE_PROBE
             raise OvertoneError(
                 f"{name} belongs to the probe" if of_the_probe else f"model {key!r} has no {name}",
                 expected=wanted + optional,

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from overtone.contact.models import ContactModel, contact_model
 from overtone.contact.parameters import check_shapes, resolve
 
-_OF_THE_PROBE = ("radius", "tip_modulus", "tip_poisson_ratio", "frequency")
+OF_THE_PROBE = ("radius", "tip_modulus", "tip_poisson_ratio", "frequency")
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ def sample(model: str, **parameters: Any) -> Sample:
     2000000000.0
     """
     record = contact_model(model)
-    own = tuple(q for q in record.parameters if q.name not in _OF_THE_PROBE)
+    own = tuple(q for q in record.parameters if q.name not in OF_THE_PROBE)
     values = resolve(model, own, parameters)
     check_shapes(values)
     arrays = np.broadcast_arrays(*values.values())

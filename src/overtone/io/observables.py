@@ -223,7 +223,7 @@ def _choose(recording: Recording, wanted: Mapping[str, str], direction: str | No
                     f"{recording.path.name} holds {name} {len(found)} times",
                     expected="one line direction",
                     got=", ".join(str(c.direction) for c in found),
-                    hint="--direction trace or --direction retrace",
+                    hint=" or ".join(f"--direction {c.direction}" for c in found if c.direction),
                 )
             if found:
                 chosen[observable] = found[0]
@@ -234,7 +234,7 @@ def _choose(recording: Recording, wanted: Mapping[str, str], direction: str | No
             "trace and retrace do not mix",
             expected="observables of one line direction",
             got=", ".join(f"{name}: {c.name} {c.direction}" for name, c in chosen.items()),
-            hint="--direction trace or --direction retrace",
+            hint=" or ".join(f"--direction {direction}" for direction in sorted(mixed)),
         )
     flattened = [c.name for name, c in chosen.items() if name != "height" and c.flattened]
     if flattened:
@@ -429,7 +429,7 @@ def _doubts(dataset: xr.Dataset, reading: Reading, vendor: Vendor) -> dict[int, 
     probe = reading.probe
     if vendor.optical_lever and (probe.detector.kind != SLOPE or len(probe.cantilever.modes) == 1):
         lever = (
-            "an optical lever reads slope: against a single-mode probe it shows A0 about 12 % high, A2 25 to 40 % low "
+            "an optical lever reads slope: against a single-mode probe it shows A0 about 12 % high, A2 7 to 40 % low "
             "and A3 of either sign, which moves a modulus by factors. Give the modes of the lever in the probe file, "
             'with their slope ratios and kind = "slope" in [detector]'
         )
