@@ -256,3 +256,19 @@ def test_more_wrong_calls() -> None:
     )
     with pytest.raises(OvertoneError, match="cannot be simulated"):
         ot.steady_states(lever(), relaxing, z=50e-9)
+
+
+def test_both_states_next_to_a_fold_in_deep_contact_are_found() -> None:
+    """Of two states 0.6 nm apart one was once missed, and the other returned without a word."""
+    probe = lever(
+        stiffness=1.4204523,
+        frequency=300e3,
+        drive_frequency=300e3,
+        quality_factor=386.924676,
+        free_amplitude=53.294673e-9,
+    )
+    material = polymer(modulus=68.203103e6, adhesion=35.55781e-9)
+    held = ot.hold_amplitude(probe, material, setpoint=0.31939095)
+    states = ot.steady_states(probe, material, z=float(held["Z"]))
+    assert float(np.nanmin(np.abs(states["A1"].values - float(held["A1"])))) < 1e-15
+    assert int(states["stable"].sum()) == 2

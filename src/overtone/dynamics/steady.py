@@ -55,8 +55,6 @@ class Branch(NamedTuple):
     arc: Arc
     low: Fold | None
     high: Fold | None
-    sign: float
-    """Of the determinant of the balance, which turns at a fold."""
 
     @property
     def ends(self) -> tuple[float, float]:
@@ -94,18 +92,8 @@ def branches(all_laws: Laws, point: int, lever: Lever, heights: tuple[float, flo
     result = []
     for arc in found:
         low, high = (folds[arc.fold_at(last)] if arc.folds[last] else None for last in (False, True))
-        branch = Branch(arc, low, high, 0.0)
-        result.append(branch._replace(sign=_sign(branch, lever, law)))
+        result.append(Branch(arc, low, high))
     return result
-
-
-def _sign(branch: Branch, lever: Lever, law: Law) -> float:
-    """Return the sign of the determinant in the middle of a branch, far from where another could be meant."""
-    middle = 0.5 * sum(branch.ends)
-    x = _seeds(branch, np.array([middle]))[0]
-    b, f, extras = np.zeros_like(lever.tip), np.empty_like(lever.tip), np.empty(EXTRAS)
-    _, sign, _ = balance(x, b, np.array([HOLD_HEIGHT, middle, 0.0, 0.0]), lever, law, f, extras)
-    return float(sign)
 
 
 def _fold(arc: Arc, last: bool, lever: Lever, law: Law) -> Fold | None:
@@ -114,7 +102,7 @@ def _fold(arc: Arc, last: bool, lever: Lever, law: Law) -> Fold | None:
     free = abs(lever.tip[1]) * lever.force
     for inside in _INSIDE:
         height = arc.height[k] + (-inside if last else inside) * min(free, np.ptp(arc.height))
-        x = _seeds(Branch(arc, None, None, 0.0), np.array([height]))[0]
+        x = _seeds(Branch(arc, None, None), np.array([height]))[0]
         b, f, extras = np.zeros_like(lever.tip), np.empty_like(lever.tip), np.empty(EXTRAS)
         held = np.array([HOLD_HEIGHT, height, 0.0, 0.0])
         if balance(x, b, held, lever, law, f, extras)[0] != FOUND:
@@ -134,23 +122,39 @@ def states_on(found: Sequence[Branch], heights: _Floats, lever: Lever, law: Law)
         low, high = branch.ends
         inside[:, j] = (heights >= low) & (heights <= high)
         states.x[inside[:, j], j] = _seeds(branch, heights[inside[:, j]])
-    sign = _solve(states, inside, heights, lever, law)
+    _solve(states, inside, heights, lever, law)
     free = abs(lever.tip[1]) * lever.force
+    off = np.full(inside.shape, np.inf)
     for j, branch in enumerate(found):
-        near = _on_branch(branch, states.x[:, j], sign[:, j], _seeds(branch, heights), free)
-        wrong = inside[:, j] & ((states.status[:, j] != FOUND) | ~near)
-        states.status[wrong, j] = NOT_CONVERGED
-        for i in np.flatnonzero(wrong):
-            _walk(states.at((slice(None), j)), int(i), heights, branch, lever, law, free)
-    _drop_repeated(states, free)
+        off[:, j], near = _distance(states.x[:, j], _seeds(branch, heights), free)
+        states.status[inside[:, j] & ~near, j] = NOT_CONVERGED
+    _tell_apart(states, off, free)
+    for j, branch in enumerate(found):
+        for i in np.flatnonzero(inside[:, j] & (states.status[:, j] == NOT_CONVERGED)):
+            _walk(states, int(i), j, heights, branch, lever, law, free)
     return states
 
 
-def _solve(
-    states: Motions, where: npt.NDArray[np.bool_], heights: _Floats, lever: Lever, law: Law
-) -> _Floats:
-    """Solve the balance at the heights (height, branch) where wanted, in place and on all cores; return signs."""
-    sign = np.zeros(where.shape)
+def _distance(x: _Floats, seeds: _Floats, free: float) -> tuple[_Floats, npt.NDArray[np.bool_]]:
+    """Return how far states are from where they began [m], and whether that is near enough to be theirs."""
+    off = np.abs(x[..., :2] - seeds[..., :2]).max(axis=-1)
+    return off, np.asarray(off < 0.05 * free + 0.3 * seeds[..., 1])
+
+
+def _tell_apart(states: Motions, off: _Floats, free: float) -> None:
+    """Call a state not converged where another branch has the same one and began nearer to it."""
+    status, x = states.status, states.x
+    for i in range(status.shape[1]):
+        for j in range(i + 1, status.shape[1]):
+            both = (status[:, i] == FOUND) & (status[:, j] == FOUND)
+            same = both & (np.abs(x[:, i, :2] - x[:, j, :2]).max(axis=1) < _SAME * free)
+            farther = off[:, i] > off[:, j]
+            status[same & farther, i] = NOT_CONVERGED
+            status[same & ~farther, j] = NOT_CONVERGED
+
+
+def _solve(states: Motions, where: npt.NDArray[np.bool_], heights: _Floats, lever: Lever, law: Law) -> None:
+    """Solve the balance at the heights (height, branch) where wanted, in place and on all cores."""
     some = states.at(where)
     held = np.zeros((len(some.status), 4))
     held[:, 0], held[:, 1] = HOLD_HEIGHT, np.broadcast_to(heights[:, None], where.shape)[where]
@@ -162,8 +166,6 @@ def _solve(
 
     run_blocks(block, len(held), _BLOCK)
     states.put(where, some)
-    sign[where] = signs
-    return sign
 
 
 def _seeds(branch: Branch, heights: _Floats) -> _Floats:
@@ -183,16 +185,8 @@ def _seeds(branch: Branch, heights: _Floats) -> _Floats:
     return np.concatenate([x, heights[:, None]], axis=1)
 
 
-def _on_branch(
-    branch: Branch, x: _Floats, sign: _Floats, seeds: _Floats, free: float
-) -> npt.NDArray[np.bool_]:
-    """Return whether states lie on a branch: near where they began, and not beyond a fold, where the sign turns."""
-    near = np.abs(x[..., :2] - seeds[..., :2]).max(axis=-1) < 0.05 * free + 0.3 * seeds[..., 1]
-    return np.asarray(near & (sign == branch.sign))
-
-
 def _walk(
-    states: Motions, i: int, heights: _Floats, branch: Branch, lever: Lever, law: Law, free: float
+    states: Motions, i: int, j: int, heights: _Floats, branch: Branch, lever: Lever, law: Law, free: float
 ) -> None:
     """Find a state that was missed by stepping to it along the branch, from a neighbour or a fold, in place."""
     arc, height = branch.arc, float(heights[i])
@@ -201,12 +195,13 @@ def _walk(
     for fold, end, inner in ((branch.low, 0, 1), (branch.high, -1, -2)):
         if fold is not None:
             away = np.array([arc.gap[inner] - arc.gap[end], arc.amplitude[inner] - arc.amplitude[end]])
-            # the full motion may leave its fold the other way: the sign tells
+            # the full motion may leave its fold the other way
             starts += [(fold.x, fold.b, away), (fold.x, fold.b, -away)]
-    good = np.flatnonzero(states.status == FOUND)
+    good = np.flatnonzero(states.status[:, j] == FOUND)
     if good.size:
         near = good[np.argmin(np.abs(heights[good] - height))]
-        starts.append((states.x[near], states.b[near], seed[:2] - states.x[near, :2]))
+        starts.append((states.x[near, j], states.b[near, j], seed[:2] - states.x[near, j, :2]))
+    others = states.x[i, states.status[i] == FOUND, :2]
     starts.sort(key=lambda start: abs(float(start[0][3]) - height))
     for start, motion, towards in starts:
         x, b = start.copy(), motion.copy()
@@ -214,21 +209,14 @@ def _walk(
         if not size > 0.0:
             continue
         length = max(float(np.hypot(*(seed[:2] - x[:2]))), _SHORTEST_WALK * free)
-        reached, sign = walk_to_height(
-            x, b, towards / size, length, height, lever, law, states.f[i], states.extras[i]
+        along, where = towards / size, (i, j)
+        reached, _ = walk_to_height(
+            x, b, along, length, height, lever, law, states.f[where], states.extras[where]
         )
-        if reached == FOUND and _on_branch(branch, x, np.array(sign), seed, free):
-            states.x[i], states.b[i], states.status[i] = x, b, FOUND
+        new = not (np.abs(others - x[:2]).max(axis=-1) < _SAME * free).any()
+        if reached == FOUND and new and _distance(x, seed, free)[1]:
+            states.x[where], states.b[where], states.status[where] = x, b, FOUND
             return
-
-
-def _drop_repeated(states: Motions, free: float) -> None:
-    """Leave a state out where an earlier branch has it too."""
-    status, x = states.status, states.x
-    for i in range(status.shape[1]):
-        for j in range(i + 1, status.shape[1]):
-            both = (status[:, i] == FOUND) & (status[:, j] == FOUND)
-            status[both & (np.abs(x[:, i, :2] - x[:, j, :2]).max(axis=1) < _SAME * free), j] = NO_STATE
 
 
 def checked_heights(z: Any) -> _Floats:
