@@ -51,6 +51,16 @@ def test_harmonic_balance(benchmark: Any, n_max: int) -> None:
 
 
 @pytest.mark.benchmark(group="approach curve of 100 points, there and back, with stability")
+@pytest.mark.parametrize("n_max", [10, 20])
+def test_harmonic_balance_of_one_branch(benchmark: Any, n_max: int) -> None:
+    """The hundred states alone, at their set-points: what the time integration below does too."""
+    setpoints = np.linspace(0.2, 0.9, 100)
+    exact = ot.hold_amplitude(lever(), polymer(), setpoint=setpoints, n_max=80)["A2"]
+    states = benchmark(ot.hold_amplitude, lever(), polymer(), setpoint=setpoints, n_max=n_max)
+    benchmark.extra_info["error of A2"] = float(abs(states["A2"] / exact - 1.0).max())
+
+
+@pytest.mark.benchmark(group="approach curve of 100 points, there and back, with stability")
 @pytest.mark.parametrize("method", ["relax", "shooting"])
 def test_time_integration(benchmark: Any, method: str) -> None:
     """Each point from its neighbour's state is what a sweep does; here all start from the free motion, in parallel."""

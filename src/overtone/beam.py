@@ -19,6 +19,7 @@ levers with straight edges; in a liquid, and for levers that narrow towards the 
 
 from __future__ import annotations
 
+import itertools
 import math
 import warnings
 from collections.abc import Mapping, Sequence
@@ -219,6 +220,9 @@ def _faults(
             faults.append(f"{name} has {len(values)} values for {count - 1} higher modes")
         if values is not None and not all(math.isfinite(value) and value > 0.0 for value in values):
             faults.append(f"{name} are not all finite positive numbers")
+    frequencies = [positive.get("frequency") or 0.0, *(higher.get("higher_frequencies") or ())]
+    if any(upper <= lower for lower, upper in itertools.pairwise(frequencies)):
+        faults.append("higher_frequencies do not rise above that of the first mode")
     return faults
 
 

@@ -272,3 +272,49 @@ def test_both_states_next_to_a_fold_in_deep_contact_are_found() -> None:
     states = ot.steady_states(probe, material, z=float(held["Z"]))
     assert float(np.nanmin(np.abs(states["A1"].values - float(held["A1"])))) < 1e-15
     assert int(states["stable"].sum()) == 2
+
+
+def test_off_resonance_the_amplitude_exceeds_the_free_one_and_branches_are_still_found() -> None:
+    """Above resonance a soft sample stiffens the lever towards the drive: A1 grows to 2.3 times A1far."""
+    probe = lever(
+        stiffness=30.0, frequency=3e5, drive_frequency=3.015e5, quality_factor=400.0, free_amplitude=50e-9
+    )
+    material = ot.sample("hertz", modulus=50e6, poisson_ratio=0.3)
+    for part in (0.5, 0.7, 0.9):
+        states = ot.steady_states(probe, material, z=part * 50e-9)
+        end = settle(probe, material, Z=part * 50e-9, tolerance=1e-9, goal=1e-7, method="relax")
+        assert float(end["A1"]) > 60e-9
+        known = states["A1"].values[states["stable"].values]
+        assert np.abs(known - float(end["A1"])).min() < 2e-3 * float(end["A1"])
+
+
+def test_a_material_in_permanent_contact_is_held() -> None:
+    probe = lever(
+        stiffness=25.66,
+        frequency=3e5,
+        drive_frequency=3e5,
+        quality_factor=58.0,
+        radius=16.88e-9,
+        free_amplitude=18.68e-9,
+    )
+    material = polymer(modulus=48.08e6, adhesion=4.065e-9)
+    held = ot.hold_amplitude(probe, material, setpoint=0.25)
+    assert int(held["state"]) == 0
+    assert float(held["indentation"]) > 2.0 * float(held["A1"])
+    end = settle(probe, material, Z=float(held["Z"]), tolerance=1e-10)
+    assert float(end["A1"]) == pytest.approx(float(held["A1"]), rel=1e-3, abs=0)
+
+
+def test_names_of_dimensions_and_empty_samples_are_checked() -> None:
+    two = polymer(modulus=np.array([1e8, 1e9]))
+    for dims in (("a", "b"), ("z",)):
+        with pytest.raises(OvertoneError, match="names of dimensions"):
+            ot.steady_states(lever(), two, z=50e-9, dims=dims)
+    with pytest.raises(OvertoneError, match="no points"):
+        ot.steady_states(lever(), polymer(modulus=np.empty(0)), z=50e-9)
+    with pytest.raises(OvertoneError, match="not numbers"):
+        ot.steady_states(lever(), polymer(), z="70 nm")
+    with pytest.raises(OvertoneError, match="takes one material"):
+        ot.approach_curve(lever(), two, z=[50e-9, 60e-9], method="transient", speed=1e-6)
+    with pytest.raises(OvertoneError, match="do not rise"):
+        ot.beam_modes(stiffness=40.0, frequency=3e5, quality_factor=400.0, count=2, higher_frequencies=[1e5])

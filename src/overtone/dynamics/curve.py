@@ -195,6 +195,12 @@ def _transient(
     progress: Callable[[int, int], None] | None,
 ) -> xr.Dataset:
     """Sweep down and up in time; the start of the way back is the end of the way there."""
+    if sample.shape:
+        raise OvertoneError(
+            "a transient approach curve takes one material",
+            got=f"arrays of shape {sample.shape}",
+            hint='one call for each, or method="steady"',
+        )
     if speed is None:
         raise OvertoneError(
             "a transient approach curve needs a speed",

@@ -37,6 +37,8 @@ from overtone.probe import Probe, format_probe
 
 _BLOCK = 256
 _STEP = 0.5  # the search comes from deep in contact, or from far, in such steps
+_OUTER_STEP = 0.85  # a finer one: attractive states come in pairs
+_BOTTOMLESS = 1e4  # of the amplitude
 _DEEPEST, _FARTHEST, _SHALLOWEST = 1.98, 2.0, 1e-6  # of the amplitude
 _LEFT = 1e-6  # of the drive
 _STEPS = 60
@@ -75,16 +77,20 @@ def find_bare(
     # from deep in contact upwards, or from far away through the first touch, until the balance turns
     low = (-_DEEPEST if deepest else _FARTHEST) * amplitude
     at_low = way * _off_sheet(law, lever, amplitude, low, way, f, work)
+    while deepest and at_low <= 0.0 and low > -_BOTTOMLESS * amplitude:  # held in permanent contact
+        low *= 2.0
+        at_low = way * _off_sheet(law, lever, amplitude, low, way, f, work)
+    step = _STEP if deepest else _OUTER_STEP
     high, at_high = low, at_low
     while (at_high > 0.0) == (at_low > 0.0):
         low, at_low = high, at_high
         if deepest or low > _SHALLOWEST * amplitude:
-            high = _STEP * low
+            high = step * low
         elif low > 0.0:
             high = -low
         else:
-            high = low / _STEP
-        if abs(high) < _SHALLOWEST * amplitude * _STEP or high < -_DEEPEST * amplitude:
+            high = low / step
+        if abs(high) < _SHALLOWEST * amplitude * step or (not deepest and high < -_DEEPEST * amplitude):
             return math.nan, NO_STATE
         at_high = way * _off_sheet(law, lever, amplitude, high, way, f, work)
     side, middle = 0, 0.5 * (low + high)
@@ -92,7 +98,7 @@ def find_bare(
     for k in range(_STEPS):
         middle = (low * at_high - high * at_low) / (at_high - at_low) if k % 5 != 4 else 0.5 * (low + high)
         value = way * _off_sheet(law, lever, amplitude, middle, way, f, work)
-        if abs(value) < 1e-13 * lever.force or abs(high - low) < 1e-15 * amplitude:
+        if abs(value) < 1e-11 * lever.force or abs(high - low) < 1e-15 * amplitude:
             break
         if (value > 0.0) == (at_high > 0.0):
             high, at_high = middle, value
@@ -201,7 +207,12 @@ def hold_amplitude(
     Whether a feedback loop can stay in the state is not asked: see `steady_states` for all states at a height
     and their stability.
     """
-    setpoints = np.atleast_1d(np.asarray(setpoint, dtype=float))
+    try:
+        setpoints = np.atleast_1d(np.asarray(setpoint, dtype=float))
+    except (TypeError, ValueError) as error:
+        raise OvertoneError(
+            "the set-point is not a number", expected="A1/A1far", got=repr(setpoint)
+        ) from error
     if setpoints.ndim != 1 or setpoints.size == 0 or not ((setpoints > 0.0) & (setpoints < 1.0)).all():
         bad = setpoints[~((setpoints > 0.0) & (setpoints < 1.0))] if setpoints.ndim == 1 else setpoints
         raise OvertoneError(

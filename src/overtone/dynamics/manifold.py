@@ -176,7 +176,8 @@ def arcs(law: Law, lever: Lever, heights: tuple[float, float], pull: float) -> l
             np.geomspace(1.05 * free, 1.001 * highest, _BEYOND)[1:] if highest > 1.06 * free else [],
         ]
     )
-    low = min(heights[0], 0.0) - 1.1 * free - static * pull
+    # the closest gap is Z - A and what the mean force adds, and off resonance A can exceed the free amplitude
+    low = min(heights[0], 0.0) - 1.1 * max(free, highest) - static * pull
     high = max(heights[1], 0.0) + static * pull + 1e-9
     gaps = _FINEST * np.sinh(np.linspace(math.asinh(low / _FINEST), math.asinh(high / _FINEST), _GAPS))
     needed = np.empty((gaps.size, amplitudes.size), complex)

@@ -23,11 +23,14 @@ from overtone.dynamics.balance import (
     WORK,
 )
 from overtone.dynamics.system import Setup
+from overtone.errors import OvertoneError
 from overtone.harmonics import far_phase
 from overtone.quantities import named_variable
 
 _Floats = npt.NDArray[np.float64]
 _Complex = npt.NDArray[np.complex128]
+
+_TAKEN = ("z", "branch", "direction", "setpoint", "harmonic", "probe")
 
 STATE_FLAGS = {
     "flag_values": [FOUND, NO_STATE, NOT_CONVERGED, MANY_TOUCHES],
@@ -79,8 +82,21 @@ class Motions(NamedTuple):
 
 
 def sample_dims(shape: Sequence[int], dims: Sequence[str] | None) -> tuple[str, ...]:
-    """Return names for the dimensions of a sample's arrays."""
-    return tuple(dims or (("y", "x") if len(shape) == 2 else (f"dim_{i}" for i in range(len(shape)))))
+    """Return names for the dimensions of a sample's arrays.
+
+    Raises
+    ------
+    OvertoneError
+        If there are not as many names as dimensions, or one is taken.
+    """
+    names = tuple(dims or (("y", "x") if len(shape) == 2 else (f"dim_{i}" for i in range(len(shape)))))
+    if len(names) != len(shape) or len({*names, *_TAKEN}) != len(names) + len(_TAKEN):
+        raise OvertoneError(
+            "names of dimensions do not fit",
+            expected=f"{len(shape)} different names, none of {', '.join(_TAKEN)}",
+            got=str(names),
+        )
+    return names
 
 
 def states_dataset(

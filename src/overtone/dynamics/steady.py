@@ -227,7 +227,10 @@ def checked_heights(z: Any) -> _Floats:
     OvertoneError
         If there are none, or if one is not a finite number.
     """
-    heights = np.atleast_1d(np.asarray(z, dtype=float))
+    try:
+        heights = np.atleast_1d(np.asarray(z, dtype=float))
+    except (TypeError, ValueError) as error:
+        raise OvertoneError("heights are not numbers", expected="values of Z [m]", got=repr(z)) from error
     if heights.ndim != 1 or heights.size == 0:
         raise OvertoneError(
             "no heights", expected="one or more values of Z in a row [m]", got=str(heights.shape)
@@ -277,7 +280,8 @@ def steady_states(
     z : array (z,)
         Heights Z of the base above the surface [m]: the gap of a lever at rest that feels no force.
     n_max : int
-        Harmonics of the motion that act back on the force; 10 gives A2 to 5e-5 and A3 to 1e-4, 20 to 2e-6.
+        Harmonics of the motion that act back on the force, ``keep`` at least; 10 gives A2 to 5e-5 and A3 to
+        1e-4, 20 to 2e-6.
     keep : int
         Harmonics in the result.
     dims : tuple of str, optional
@@ -306,7 +310,9 @@ def steady_states(
     States with the period of the drive that touch the surface once a period. Branches are found from the first
     harmonic, on a grid of amplitude and closest gap that is a few per cent wide, and refined with the higher
     ones; a branch that owes its existence to higher harmonics, or a pair of folds nearer to each other than
-    the grid, may be missed, and so may small amplitudes in deep contact of levers of low Q.
+    the grid, may be missed, and so may small amplitudes in deep contact of levers of low Q. A contact with
+    hysteresis is taken as held only if the motion itself makes it: the states of a neck that was made once and
+    is only stretched and never broken since are not among the branches.
 
     Sources: theory of harmonic balance as in Shaik, Reifenberger and Raman, Nanotechnology 31 (2020) 455502,
     eqs 1 to 5, with every harmonic of the motion kept instead of eq 10.
@@ -355,7 +361,7 @@ def steady_states(
     result = states_dataset(device, states.reshaped(wide), along, coords, keep)
     result["stable"] = named_variable("stable", stable.reshape(wide), along)
     return provenance.record(
-        result, "steady_states", probe=format_probe(probe), model=sample.model.key, n_max=n_max
+        result, "steady_states", probe=format_probe(probe), model=sample.model.key, n_max=max(n_max, keep)
     )
 
 

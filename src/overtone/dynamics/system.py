@@ -137,6 +137,10 @@ def laws(probe: Probe, sample: Sample) -> Laws:
         -1, *table.shape[-2:]
     )
     points = table.shape[0]
+    if points == 0:
+        raise ContactModelError(
+            "the sample has no points", expected="one material or more", got=str(sample.shape)
+        )
     levels, kinks = np.full((points, law.LEVELS), math.inf), np.empty(points, np.int64)
     made, lost = np.empty(points), np.empty(points)
     law.level_block(table, levels, kinks, made, lost)
