@@ -139,8 +139,8 @@ def solved(cases: Cases, n_max: int = N_MAX) -> States:
 
 
 def chosen(cases: Cases, states: States) -> tuple[Cases, States]:
-    """Return the cases that have a repulsive state."""
-    found = states.state == 0
+    """Return the cases that tap: a repulsive state that leaves the surface."""
+    found = (states.state == 0) & (states.contact_time < 1.0)
     return Cases(*(column[found] for column in cases)), States(*(column[found] for column in states))
 
 

@@ -290,6 +290,6 @@ def test_the_tables_of_the_page_are_the_file(page: ModuleType) -> None:
     kept = {(row.method, row.part, row.harmonic): row for row in rows}
     everything = kept["eq6", "all", "largest"]
     assert everything.maximum < 1e-7
-    assert f"{everything.cases} of the {page.COUNT} cases have a repulsive state" in text
+    assert f"{everything.cases} of the {page.COUNT} cases have a repulsive state that taps" in text
     assert sum(kept["eq6", part, "largest"].cases for part in page.PARTS if part != "all") == everything.cases
     assert kept["eq19", "all", "2"].median < kept["eq19_printed", "all", "2"].median
