@@ -64,6 +64,10 @@ class InversionError(OvertoneError):
     """A call for an inversion that cannot be made with these arguments."""
 
 
+class CalibrationError(OvertoneError):
+    """Data that cannot calibrate an instrument, or a calibration that does not fit its scan."""
+
+
 class OvertoneWarning(UserWarning):
     """Base class of overtone's warnings: doubtful data, never a wrong call."""
 
@@ -90,3 +94,11 @@ class ChannelWarning(OvertoneWarning):
 
 class CurveWarning(OvertoneWarning):
     """An approach curve jumps, ends too early, or does not follow from one force."""
+
+
+class CalibrationWarning(OvertoneWarning):
+    """A calibration that leaves something open, or data that do not quite fit it."""
+
+
+class SaturationWarning(OvertoneWarning):
+    """A signal that sticks to the ends of its range."""

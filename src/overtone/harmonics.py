@@ -23,7 +23,7 @@ import xarray as xr
 
 from overtone import provenance
 from overtone.errors import ObservablesError
-from overtone.probe import SLOPE, Cantilever, Probe, format_probe
+from overtone.probe import SLOPE, STATIC, Cantilever, Probe, format_probe
 from overtone.quantities import harmonic_orders, named_array, validate_observables
 
 ATTRACTIVE, UNDETERMINED, REPULSIVE = -1, 0, 1
@@ -55,7 +55,8 @@ def read_receptance(probe: Probe, frequency: Any) -> npt.NDArray[np.complex128]:
     """Return the reading of the detector per force at the tip, G_read.
 
     A displacement detector reads what the tip does; an optical lever weights each mode by
-    ``s_j/s_1``, because it reads slope and was calibrated on the first mode.
+    ``s_j/s_1``, because it reads slope and was calibrated on the first mode; a mean deflection with a sensitivity
+    of its own (`Detector.mean_sensitivity`) is what the tip does.
 
     Parameters
     ----------
@@ -73,7 +74,10 @@ def read_receptance(probe: Probe, frequency: Any) -> npt.NDArray[np.complex128]:
     if probe.detector.kind != SLOPE:
         return tip_receptance(cantilever, frequency)
     weights = [mode.slope_ratio for mode in cantilever.modes]
-    return _receptance(cantilever, frequency, weights, cantilever.static_slope_ratio)
+    read = _receptance(cantilever, frequency, weights, cantilever.static_slope_ratio)
+    if probe.detector.mean_sensitivity == STATIC:  # the mean is read as what the tip does
+        read = np.where(np.asarray(frequency) == 0.0, tip_receptance(cantilever, frequency), read)
+    return read
 
 
 def _receptance(

@@ -122,7 +122,7 @@ def _crossing(level: float, inside: float, outside: float, motion: Motion) -> fl
 
 
 @inner
-def _bottom(motion: Motion) -> float:
+def bottom(motion: Motion) -> float:
     """Return the phase of the closest gap, next to pi."""
     _, amplitude, b = motion
     theta = math.pi
@@ -269,9 +269,9 @@ def force_on_motion(
     P[:] = 0.0
     S[:] = 0.0
     extras[:] = 0.0
-    bottom = _bottom(motion)
-    closest, _ = gap_at(bottom, motion)
-    farthest, _ = gap_at(bottom + math.pi, motion)
+    lowest = bottom(motion)
+    closest, _ = gap_at(lowest, motion)
+    farthest, _ = gap_at(lowest + math.pi, motion)
     extras[LOWEST] = closest
     if not (math.isfinite(closest) and math.isfinite(farthest)):
         f[:] = math.nan
@@ -283,13 +283,13 @@ def force_on_motion(
     orders = max(f.shape[0] - 1, 10)
     for way in range(2):
         side = 1.0 if way else -1.0
-        far = bottom + side * math.pi
-        start = bottom
+        far = lowest + side * math.pi
+        start = lowest
         for k in range(kinks + 1):
             level = levels[k] if k < kinks else math.inf
             if level <= closest:
                 continue
-            end = far if k == kinks else _crossing(level, bottom, far, motion)
+            end = far if k == kinks else _crossing(level, lowest, far, motion)
             inside = level <= 0.0
             held = kept or (touched and level <= (law.lost if way else law.made))
             if start != end and (inside or held or tail or k < kinks):
@@ -298,7 +298,7 @@ def force_on_motion(
                 if graded:
                     # where the gap has grown by about a0, linearly from contact or quadratically from the bottom
                     width = math.sqrt(2.0 * (reach + max(closest, 0.0)) / motion.amplitude)
-                    if start != bottom:
+                    if start != lowest:
                         width = min(width, reach / max(abs(gap_at(start, motion)[1]), 1e-300))
                 if not width > _NARROWEST:
                     width = _NARROWEST

@@ -172,8 +172,9 @@ def hold_amplitude(
         Any number of modes, any drive frequency, driven at tip or base.
     sample : Sample
         A material of any model that can be simulated, or arrays of materials.
-    setpoint : float or array (setpoint,)
-        A1 / A1far, between 0 and 1. An array adds a first dimension ``setpoint``.
+    setpoint : float, array (setpoint,) or DataArray
+        A1 / A1far, between 0 and 1. An array adds a first dimension ``setpoint``; a DataArray over the dimensions
+        of the sample gives each point its own, as a feedback loop with an error does.
     regime : str
         ``repulsive`` takes the state of largest indentation, ``attractive`` the outermost one.
     n_max : int
@@ -213,8 +214,15 @@ def hold_amplitude(
         raise OvertoneError(
             "the set-point is not a number", expected="A1/A1far", got=repr(setpoint)
         ) from error
-    if setpoints.ndim != 1 or setpoints.size == 0 or not ((setpoints > 0.0) & (setpoints < 1.0)).all():
-        bad = setpoints[~((setpoints > 0.0) & (setpoints < 1.0))] if setpoints.ndim == 1 else setpoints
+    names = sample_dims(sample.shape, dims)
+    each = isinstance(setpoint, xr.DataArray) and bool(names) and setpoint.dims == names
+    if each and setpoints.shape != sample.shape:
+        raise OvertoneError(
+            "set-points and sample do not fit", expected=str(sample.shape), got=str(setpoints.shape)
+        )
+    usable = (setpoints > 0.0) & (setpoints < 1.0)
+    if (setpoints.ndim != 1 and not each) or setpoints.size == 0 or not usable.all():
+        bad = setpoints[~usable] if setpoints.ndim == 1 or each else setpoints
         raise OvertoneError(
             "the set-point is out of reach",
             expected="0 < A1/A1far < 1",
@@ -226,7 +234,7 @@ def hold_amplitude(
     all_laws = laws(probe, sample)
     device = setup(probe, max(n_max, keep))
     points = all_laws.table.shape[0]
-    read = np.repeat(setpoints * probe.drive.free_amplitude, points)
+    read = (setpoints.ravel() if each else np.repeat(setpoints, points)) * probe.drive.free_amplitude
     amplitude = read / abs(device.lever.reading[0])
     states = Motions.missing((read.size,), device.lever.tip.size)
 
@@ -237,9 +245,12 @@ def hold_amplitude(
         hold_block(*where, regime == "repulsive", n_max > 1, device.lever, law, x, f, extras, status)
 
     run_blocks(block, read.size, _BLOCK if n_max > 1 else 64 * _BLOCK, progress)
-    along = ("setpoint", *sample_dims(sample.shape, dims))
-    coords = {"setpoint": ("setpoint", setpoints, {"units": "1", "long_name": "A1 / A1far"})}
-    result = states_dataset(device, states.reshaped((setpoints.size, *sample.shape)), along, coords, keep)
+    if each:
+        result = states_dataset(device, states.reshaped(sample.shape), names, {}, keep)
+    else:
+        coords = {"setpoint": ("setpoint", setpoints, {"units": "1", "long_name": "A1 / A1far"})}
+        wide = states.reshaped((setpoints.size, *sample.shape))
+        result = states_dataset(device, wide, ("setpoint", *names), coords, keep)
     if np.ndim(setpoint) == 0:
         result = result.isel(setpoint=0, drop=True)
     return provenance.record(
@@ -247,7 +258,7 @@ def hold_amplitude(
         "hold_amplitude",
         probe=format_probe(probe),
         model=sample.model.key,
-        setpoint=setpoints.tolist() if np.ndim(setpoint) else float(setpoint),
+        setpoint="one a point" if each else setpoints.tolist() if np.ndim(setpoint) else float(setpoint),
         n_max=n_max,
         regime=regime,
     )

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,7 +23,8 @@ from overtone.dynamics import integrate
 from overtone.dynamics.integrate import Contacts, Lever
 from overtone.dynamics.system import Excitation, Laws, excitation, laws, phase_offset, static_remainder
 from overtone.errors import OvertoneError
-from overtone.probe import SLOPE, Probe, format_probe
+from overtone.harmonics import read_receptance
+from overtone.probe import DYNAMIC, SLOPE, STATIC, Probe, format_probe
 from overtone.quantities import named_array
 
 SHOOTING, RELAX = "shooting", "relax"
@@ -392,7 +394,11 @@ def _observed(
     offset = phase_offset(probe, drive)
     orders = np.arange(reading.shape[-1])
     frame = np.angle(reading[..., 1]) if reading.shape[-1] > 1 else np.zeros(reading.shape[:-1])
-    variables = {"A0": named_array("A0", reading[..., 0].real, dims, coords)}
+    mean = reading[..., 0].real
+    if probe.detector.mean_sensitivity == STATIC:  # the lever's slope at rest, read as what the tip does
+        slope = replace(probe, detector=replace(probe.detector, mean_sensitivity=DYNAMIC))
+        mean = mean * float((read_receptance(probe, 0.0) / read_receptance(slope, 0.0)).real)
+    variables = {"A0": named_array("A0", mean, dims, coords)}
     for n in orders[1:]:
         variables[f"A{n}"] = named_array(f"A{n}", np.abs(reading[..., n]), dims, coords)
         lag = (n * offset - np.angle(reading[..., n])) % (2.0 * math.pi)

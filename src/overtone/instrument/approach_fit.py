@@ -1,0 +1,342 @@
+"""The approach curve on a reference, fitted as a whole: material, gains, latency and zeros in one posterior.
+
+At every height the amplitude is as measured and the indentation is latent; the force of the reference on the full
+motion then predicts CONS_1, A0, the higher harmonics and the height. Feeding the measured height in as exact would
+bias the modulus by up to 75 %. What the instrument does is unknown too, with the far-field data as its prior, and so
+are the lever's own numbers, so that the covariance of all of them together is an answer of the same fit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from overtone.contact.models import contact_model
+from overtone.contact.sample import OF_THE_PROBE, Sample, sample
+from overtone.dynamics.balance import FOUND
+from overtone.dynamics.indented import indented_states
+from overtone.harmonics import far_phase, read_receptance
+from overtone.instrument.signals import Signals, in_the_frame_of_the_first
+from overtone.instrument.unknowns import HIGHER, LEVER, probe_with, undo
+from overtone.probe import Probe
+
+_Floats = npt.NDArray[np.float64]
+_Complex = npt.NDArray[np.complex128]
+
+_STEP = 1e-4  # of a prior's width, for differences
+_N_MAX = 6  # A2 to 1e-4, far below any noise
+_LOST = 1e6  # residual of a state that does not converge
+
+
+@dataclass(frozen=True)
+class Reference:
+    """The material of an approach curve, as far as it is known beforehand.
+
+    Parameters
+    ----------
+    poisson_ratio : float
+        Of the material; it has no default.
+    modulus : float, optional
+        Young's modulus [Pa]. Without it only gains and offsets that do not depend on it are learnt.
+    modulus_error : float
+        Relative standard deviation of it.
+    adhesion : float, optional
+        Force of adhesion [N].
+    adhesion_error : float
+        Relative standard deviation of it.
+    model : str
+        Contact model, ``dmt`` unless given; one with ``viscosity`` uses DISS_1 as well.
+    name : str
+        What it is called in reports.
+    """
+
+    poisson_ratio: float
+    modulus: float | None = None
+    modulus_error: float = 0.1
+    adhesion: float | None = None
+    adhesion_error: float = 0.3
+    model: str = "dmt"
+    name: str = "reference"
+
+
+@dataclass(frozen=True)
+class Curve:
+    """What a fit needs of an approach curve: points in contact, in any order.
+
+    Parameters
+    ----------
+    signals : Signals
+        As read (point,).
+    height : array (point,)
+        Z [m] up to a constant.
+    noise : mapping
+        Standard deviations of ``A0``, ``A1``, ``phi1``, ``A2``, ... [m, rad] and of ``height`` [m].
+    """
+
+    signals: Signals
+    height: _Floats
+    noise: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Posterior of an approach curve.
+
+    Parameters
+    ----------
+    names : tuple of str
+        Unknowns of the instrument and lever, in the order of the next two.
+    values, covariance : array (name,), (name, name)
+        Their posterior.
+    material : mapping
+        Logarithm of each property of the reference to (mean, standard deviation).
+    indentation : array (point,)
+        delta_max [m].
+    chi2, freedom : float
+        Sum of squared residuals of the data and how many data are left for each unknown.
+    predicted : mapping
+        What the fit says was there: ``A0`` and, in the frame of the first harmonic, ``e2``, ``e3`` [m], ``CONS_1`` [N].
+    zero : float
+        What the heights are off: Z = height - zero [m].
+    """
+
+    names: tuple[str, ...]
+    values: _Floats
+    covariance: _Floats
+    material: Mapping[str, tuple[float, float]]
+    indentation: _Floats
+    chi2: float
+    freedom: int
+    predicted: Mapping[str, npt.NDArray[Any]]
+    zero: float
+
+
+_BROAD = {"modulus": (1e9, math.log(20.0)), "adhesion": (5e-9, math.log(5.0)), "viscosity": (10.0, math.log(20.0))}
+_STARTS = {"modulus": (0.0, 0.8, -0.8), "adhesion": (0.0, -1.0, 1.0), "viscosity": (0.0,)}  # in widths of the prior
+
+
+class _Problem:
+    """Residuals of a curve and their derivatives; parameters are whitened by their priors."""
+
+    def __init__(
+        self,
+        curve: Curve,
+        probe: Probe,
+        reference: Reference,
+        amplitude: float,
+        names: Sequence[str],
+        mean: _Floats,
+        covariance: _Floats,
+        neutral: Mapping[str, float],
+        centre_height: float,
+    ) -> None:
+        self.curve, self.probe, self.reference, self.amplitude = curve, probe, reference, amplitude
+        self.names, self.mean, self.neutral, self.centre = tuple(names), mean, dict(neutral), centre_height
+        self.root = np.linalg.cholesky(covariance + 1e-18 * np.diag(np.diag(covariance)))
+        record = contact_model(reference.model)
+        own = [q for q in record.parameters if q.name not in OF_THE_PROBE and q.default is None]
+        self.properties = [q.name for q in own if q.name != "poisson_ratio"]
+        self.viscous = "viscosity" in self.properties
+        self.material_mean, self.material_width = (np.array(v) for v in zip(*map(self._prior, self.properties), strict=True))
+        self.points = curve.height.size
+        self.orders = [n for n in HIGHER if n in curve.signals.phasor]
+        # parameters: instrument and lever, material, zero of the height, indentations
+        self.at_material = len(names)
+        self.at_zero = self.at_material + len(self.properties)
+        self.at_depth = self.at_zero + 1
+        self.unit = 1e-9
+        self.model_names = [i for i, name in enumerate(names) if name in LEVER]
+
+    def _prior(self, name: str) -> tuple[float, float]:
+        known = getattr(self.reference, name, None)
+        if known is not None:
+            return math.log(known), float(getattr(self.reference, f"{name}_error"))
+        middle, width = _BROAD[name]
+        return math.log(middle), width
+
+    def unpack(self, p: _Floats) -> tuple[dict[str, float], _Floats, float, _Floats]:
+        theta = self.mean + self.root @ p[: self.at_material]
+        values = {**self.neutral, **dict(zip(self.names, map(float, theta), strict=True))}
+        material = self.material_mean + self.material_width * p[self.at_material : self.at_zero]
+        return values, material, float(p[self.at_zero]) * self.unit, p[self.at_depth :] * self.unit
+
+    def sample(self, material: _Floats) -> Sample:
+        values = dict(zip(self.properties, np.exp(np.clip(material, -60.0, 60.0)), strict=True))
+        return sample(self.reference.model, poisson_ratio=self.reference.poisson_ratio, **values)
+
+    def predict(self, values: Mapping[str, float], material: _Floats, depth: _Floats, amplitude: _Floats) -> Any:
+        probe = probe_with(self.probe, values)
+        return indented_states(probe, self.sample(material), amplitude=amplitude, indentation=depth, n_max=_N_MAX)
+
+    def observed(self, values: Mapping[str, float]) -> tuple[Signals, _Complex, _Floats]:
+        """Return corrected signals, the force of the first harmonic and its error."""
+        signals = undo(self.curve.signals, values, self.amplitude, height=self.curve.height - self.centre)
+        probe = probe_with(self.probe, values)
+        G = complex(read_receptance(probe, probe.drive.frequency))
+        first = signals.phasor[1]
+        free = probe.drive.free_amplitude * np.exp(1j * (-np.angle(first) - far_phase(probe)))
+        force = (np.abs(first) - free) / G
+        noise = self.curve.noise
+        errors = np.stack([np.full(first.shape, noise["A1"] / G), -1j * free / G * noise["phi1"]])
+        return signals, force, np.sqrt(np.stack([np.sum(errors.real**2, 0), np.sum(errors.imag**2, 0)]))
+
+    def residuals(self, p: _Floats, model: Any = None) -> _Floats:
+        values, material, zero, depth = self.unpack(p)
+        signals, force, error = self.observed(values)
+        if model is None:
+            model = self.predict(values, material, depth, np.abs(signals.phasor[1]))
+        noise = self.curve.noise
+        parts = [(force.real - model.force[:, 1].real) / error[0]]
+        if self.viscous:
+            parts.append((force.imag - model.force[:, 1].imag) / error[1])
+        if signals.mean is not None:
+            parts.append((signals.mean - model.reading[:, 0].real) / (noise["A0"] / values["gain0"]))
+        frame = in_the_frame_of_the_first(signals)
+        for n in self.orders:
+            off = (frame[n] - model.reading[:, n]) / (noise[f"A{n}"] / values[f"gain{n}"])
+            parts += [off.real, off.imag]
+        parts.append((self.curve.height - zero - model.height) / noise["height"])
+        data = np.concatenate(parts)
+        lost = np.tile(model.status != FOUND, data.size // self.points)
+        data[lost] = _LOST
+        return np.concatenate([data, p[: self.at_zero]])
+
+    def jacobian(self, p: _Floats) -> _Floats:
+        values, material, _, depth = self.unpack(p)
+        signals, _, _ = self.observed(values)
+        amplitude = np.abs(signals.phasor[1])
+        model = self.predict(values, material, depth, amplitude)
+        here = self.residuals(p, model)
+        J = np.zeros((here.size, p.size))
+        lever = set(self.model_names)
+        root = np.abs(self.root)
+        for j in range(self.at_depth):
+            moved = p.copy()
+            moved[j] += _STEP
+            needs_model = j >= self.at_material and j < self.at_zero
+            # a whitened parameter moves every unknown that it is correlated with
+            needs_model = needs_model or (j < self.at_material and any(root[i, j] > 0.0 for i in lever))
+            there = None if needs_model else model
+            J[:, j] = (self.residuals(moved, there) - here) / _STEP
+        # each indentation moves its own point only: one evaluation serves all
+        step = 1e-4 * np.maximum(np.abs(p[self.at_depth :]), 0.01)
+        moved = p.copy()
+        moved[self.at_depth :] += step
+        change = self.residuals(moved) - here
+        rows = (here.size - self.at_zero) // self.points
+        for k in range(rows):
+            at = slice(k * self.points, (k + 1) * self.points)
+            J[at, self.at_depth :] = np.diag(change[at] / step)
+        return J
+
+
+def fit_approach(
+    curve: Curve,
+    probe: Probe,
+    reference: Reference,
+    *,
+    amplitude: float,
+    names: Sequence[str],
+    mean: _Floats,
+    covariance: _Floats,
+    neutral: Mapping[str, float],
+    centre_height: float = 0.0,
+) -> Fit:
+    """Fit an approach curve with latent indentations.
+
+    Parameters
+    ----------
+    curve : Curve
+        Points in contact.
+    probe : Probe
+        With a tip radius.
+    reference : Reference
+        What is known of the material.
+    amplitude : float
+        A_ref [m].
+    names, mean, covariance
+        Unknowns of instrument and lever to be fitted, and their prior.
+    neutral : mapping
+        Values of all other unknowns.
+    centre_height : float
+        Height [m] at which the offset of A0 is quoted.
+
+    Returns
+    -------
+    Fit
+        The best of several starts.
+    """
+    from scipy.optimize import least_squares
+
+    problem = _Problem(curve, probe, reference, amplitude, names, mean, covariance, neutral, centre_height)
+    best: Any = None
+    for start in _starts(problem):
+        # a few steps tell which valley is worth the rest
+        trial = least_squares(problem.residuals, start, jac=problem.jacobian, method="lm", max_nfev=8)
+        if best is None or trial.cost < best.cost:
+            best = trial
+    result = least_squares(
+        problem.residuals, best.x, jac=problem.jacobian, method="lm", max_nfev=60, xtol=1e-8, ftol=1e-8
+    )
+    p = result.x
+    J = problem.jacobian(p)
+    inverse = np.linalg.pinv(J.T @ J, hermitian=True)
+    values, material, zero, depth = problem.unpack(p)
+    own = problem.root @ inverse[: problem.at_material, : problem.at_material] @ problem.root.T
+    spread = problem.material_width * np.sqrt(np.diag(inverse)[problem.at_material : problem.at_zero])
+    signals, _, _ = problem.observed(values)
+    model = problem.predict(values, material, depth, np.abs(signals.phasor[1]))
+    data = problem.residuals(p)[: -problem.at_zero]
+    predicted = {"A0": model.reading[:, 0].real, "CONS_1": model.force[:, 1].real, "A1": np.abs(signals.phasor[1])}
+    predicted |= {f"e{n}": model.reading[:, n] for n in problem.orders}
+    return Fit(
+        problem.names,
+        np.array([values[name] for name in problem.names]),
+        own,
+        {name: (float(m), float(s)) for name, m, s in zip(problem.properties, material, spread, strict=True)},
+        depth,
+        float(data @ data),
+        data.size - problem.points - len(problem.properties) - 1,
+        predicted,
+        zero,
+    )
+
+
+def _starts(problem: _Problem) -> list[_Floats]:
+    """Return starting points: materials over their priors, each with the indentations that give CONS_1."""
+    values, _, _, _ = problem.unpack(np.zeros(problem.at_depth + problem.points))
+    signals, force, _ = problem.observed(values)
+    amplitude = np.abs(signals.phasor[1])
+    starts = []
+    grids = [_STARTS.get(name, (0.0,)) for name in problem.properties]
+    known = [problem.material_width[i] < 0.5 for i in range(len(problem.properties))]
+    axes = [(0.0,) if sure else grid for sure, grid in zip(known, grids, strict=True)]
+    for shifts in np.array(np.meshgrid(*axes, indexing="ij")).reshape(len(axes), -1).T:
+        p = np.zeros(problem.at_depth + problem.points)
+        p[problem.at_material : problem.at_zero] = shifts
+        _, material, _, _ = problem.unpack(p)
+        depth = _indentations(problem, values, material, amplitude, force.real)
+        p[problem.at_depth :] = depth / problem.unit
+        model = problem.predict(values, material, depth, amplitude)
+        p[problem.at_zero] = float(np.median(problem.curve.height - model.height)) / problem.unit
+        starts.append(p)
+    return starts
+
+
+def _indentations(
+    problem: _Problem, values: Mapping[str, float], material: _Floats, amplitude: _Floats, target: _Floats
+) -> _Floats:
+    """Return the indentations at which the first conservative harmonic is the measured one, by halving."""
+    low, high = np.full(amplitude.shape, -1e-9), 1.6 * amplitude
+    for _ in range(24):
+        middle = 0.5 * (low + high)
+        model = problem.predict(values, material, middle, amplitude)
+        # deeper is more negative; a state that is not found counts as too deep
+        shallow = (model.force[:, 1].real > target) & (model.status == FOUND)
+        low, high = np.where(shallow, middle, low), np.where(shallow, high, middle)
+    return 0.5 * (low + high)

@@ -1,0 +1,283 @@
+"""What was learnt of an instrument: values with their joint covariance, kept as TOML or JSON."""
+
+from __future__ import annotations
+
+import json
+import math
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import tomli_w
+
+from overtone._version import __version__
+from overtone.errors import CalibrationError, OvertoneError
+from overtone.instrument.unknowns import NAMES, NEUTRAL, UNKNOWNS
+from overtone.io.atomic import atomic_path
+from overtone.probe import Probe, format_probe, parse_probe
+from overtone.units import display_unit, format_quantity, parse_quantity
+
+_Floats = npt.NDArray[np.float64]
+
+_FORMAT = 1
+_UNIT = {unknown.name: unknown.unit for unknown in UNKNOWNS}
+_NOISE_UNIT = {"phi1": "rad"}
+_CURVE_UNIT = {"phi1": "rad"}
+_ROUNDING = 1e-6  # of a correlation: what decimals in a file may cost
+
+
+@dataclass(frozen=True)
+class ReferenceMaterial:
+    """The reference as the approach curve and what was known before leave it.
+
+    Parameters
+    ----------
+    name, model : str
+        What it is called, and its contact model.
+    poisson_ratio : float
+        As stated.
+    properties : mapping of str to (float, float)
+        Property to its median [SI] and the standard deviation of its logarithm.
+    stated : tuple of str
+        Properties that were known beforehand.
+    """
+
+    name: str
+    model: str
+    poisson_ratio: float
+    properties: Mapping[str, tuple[float, float]]
+    stated: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What was learnt of an instrument, for the scans taken with it.
+
+    Parameters
+    ----------
+    probe : Probe
+        The lever near the surface, before the factors among the values.
+    amplitude : float
+        A_ref [m], at which distortions are quoted and lengths are true.
+    values : mapping
+        Every unknown of `overtone.instrument.unknowns.UNKNOWNS` [SI].
+    names : tuple of str
+        Unknowns in the covariance.
+    covariance : array (name, name)
+        Joint covariance [SI].
+    noise : mapping
+        Scatter of each observable in the data it came from [m, rad].
+    reference : ReferenceMaterial, optional
+        Without one gains and latency are not known.
+    curve : mapping of str to array (point,)
+        Corrected approach curve on it: ``A1``, ``phi1``, and in the frame of the first harmonic what the reference
+        gives there, ``A0``, ``e2_re``, ``e2_im``, ``e3_re``, ``e3_im`` [m, rad].
+    findings : tuple of str
+        What was assumed, and what could not be told.
+    source : str
+        Where it came from.
+    """
+
+    probe: Probe
+    amplitude: float
+    values: Mapping[str, float]
+    names: tuple[str, ...]
+    covariance: _Floats
+    noise: Mapping[str, float] = field(default_factory=dict)
+    reference: ReferenceMaterial | None = None
+    curve: Mapping[str, _Floats] = field(default_factory=dict)
+    findings: tuple[str, ...] = ()
+    source: str = ""
+
+    def error(self, name: str) -> float:
+        """Return the standard deviation of an unknown, 0 for one that is not in the covariance."""
+        if name not in self.names:
+            return 0.0
+        index = self.names.index(name)
+        return math.sqrt(float(self.covariance[index, index]))
+
+
+def save_calibration(calibration: Calibration, path: str | Path) -> None:
+    """Write a calibration, as TOML with units or, where the name ends in .json, as JSON of the same content.
+
+    Raises
+    ------
+    FileFormatError
+        If the file cannot be written.
+    """
+    table = _table(calibration)
+    with atomic_path(path) as temporary:
+        text = json.dumps(table, indent=1) if Path(path).suffix.lower() == ".json" else tomli_w.dumps(table)
+        temporary.write_text(text, encoding="utf-8")
+
+
+def load_calibration(path: str | Path) -> Calibration:
+    """Read a calibration that `save_calibration` wrote.
+
+    Raises
+    ------
+    CalibrationError
+        If the file is missing or is no calibration; what is wrong is named.
+    """
+    source = Path(path)
+    try:
+        text = source.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise CalibrationError(f"cannot read the calibration {source}", got=str(error), hint="check the path") from error
+    return parse_calibration(text, source.name)
+
+
+def parse_calibration(text: str, source: str = "calibration") -> Calibration:
+    """Read a calibration from text, TOML or JSON.
+
+    Raises
+    ------
+    CalibrationError
+        If it is no calibration; what is wrong is named.
+    """
+    try:
+        table = json.loads(text) if text.lstrip().startswith("{") else tomllib.loads(text)
+    except ValueError as error:
+        raise CalibrationError(f"{source} is neither TOML nor JSON", got=str(error)) from error
+    try:
+        return _record(table)
+    except (KeyError, TypeError, ValueError, AttributeError, OvertoneError) as error:
+        got = f"no {error}" if isinstance(error, KeyError) else str(error)
+        raise CalibrationError(
+            f"{source} is no calibration, or damaged",
+            expected="a file that overtone calibrate wrote",
+            got=got,
+            hint="overtone calibrate",
+        ) from error
+
+
+def format_calibration(calibration: Calibration) -> str:
+    """Return a calibration as JSON in one line, as datasets carry it."""
+    return json.dumps(_table(calibration))
+
+
+def _quantity(value: float, unit: str) -> str | float:
+    """Write a value with a unit that reads well and 9 digits, which is more than any of them means."""
+    if unit == "1":
+        return float(f"{value:.9g}")
+    display = display_unit(value, unit)
+    return f"{value * display.factor:.9g} {display.label}"
+
+
+def _table(calibration: Calibration) -> dict[str, Any]:
+    c = calibration
+    spread = np.sqrt(np.diag(c.covariance))
+    scale = np.where(spread > 0.0, spread, 1.0)
+    correlation = c.covariance / np.outer(scale, scale)
+    table: dict[str, Any] = {
+        "calibration": {
+            "format": _FORMAT,
+            "overtone": __version__,
+            "source": c.source,
+            "amplitude": _quantity(c.amplitude, "m"),
+            "findings": list(c.findings),
+        },
+        "probe": tomllib.loads(format_probe(c.probe)),
+        "values": {name: _quantity(c.values[name], _UNIT[name]) for name in NAMES},
+        "noise": {name: _quantity(value, _NOISE_UNIT.get(name, "m")) for name, value in c.noise.items()},
+    }
+    if c.reference is not None:
+        r = c.reference
+        table["reference"] = {
+            "name": r.name,
+            "model": r.model,
+            "poisson_ratio": r.poisson_ratio,
+            "stated": list(r.stated),
+            "properties": {
+                name: {"median": _quantity(value, _property_unit(name)), "log_error": float(f"{error:.6g}")}
+                for name, (value, error) in r.properties.items()
+            },
+        }
+    table["covariance"] = {
+        "names": list(c.names),
+        "errors": [_quantity(float(s), _UNIT[name]) for name, s in zip(c.names, spread, strict=True)],
+        # one row a line of a triangle: the whole is symmetric
+        "correlations": [[float(f"{v:.9g}") for v in row[: i + 1]] for i, row in enumerate(correlation)],
+    }
+    if c.curve:
+        table["curve"] = {name: [float(f"{v:.9g}") for v in values] for name, values in c.curve.items()}
+    return table
+
+
+def _property_unit(name: str) -> str:
+    return {"modulus": "Pa", "adhesion": "N", "viscosity": "Pa s", "stiffness": "N/m"}.get(name, "1")
+
+
+def _record(table: Mapping[str, Any]) -> Calibration:
+    head = table["calibration"]
+    if head["format"] != _FORMAT:
+        raise ValueError(f"format {head['format']!r}, where this version reads {_FORMAT}")
+    values = {name: parse_quantity(table["values"][name], _UNIT[name], name) for name in NAMES}
+    part = table["covariance"]
+    names = tuple(part["names"])
+    unknown = set(names) - set(NAMES)
+    if unknown or len(set(names)) < len(names):
+        raise ValueError(f"names {sorted(unknown) or names} in the covariance")
+    errors = np.array([parse_quantity(e, _UNIT[n], n) for e, n in zip(part["errors"], names, strict=True)])
+    rows = part["correlations"]
+    if [len(row) for row in rows] != list(range(1, len(names) + 1)):
+        raise ValueError("correlations that are not a triangle of all names")
+    correlation = np.eye(len(names))
+    for i, row in enumerate(rows):
+        correlation[i, : i + 1] = correlation[: i + 1, i] = row
+    numbers = np.concatenate([np.array(list(values.values())), errors, correlation.ravel()])
+    if not np.isfinite(numbers).all() or not (errors >= 0.0).all():
+        raise ValueError("numbers that are not finite, or negative errors")
+    if np.linalg.eigvalsh(correlation)[0] < -_ROUNDING * len(names):
+        raise ValueError("a covariance that is not one: it has a negative eigenvalue")
+    reference = None
+    if "reference" in table:
+        r = table["reference"]
+        reference = ReferenceMaterial(
+            r["name"],
+            r["model"],
+            float(r["poisson_ratio"]),
+            {
+                name: (parse_quantity(p["median"], _property_unit(name), name), float(p["log_error"]))
+                for name, p in r["properties"].items()
+            },
+            tuple(r["stated"]),
+        )
+    return Calibration(
+        probe=parse_probe(tomli_w.dumps(table["probe"]), "the probe of the calibration"),
+        amplitude=parse_quantity(head["amplitude"], "m", "amplitude"),
+        values=values,
+        names=names,
+        covariance=correlation * np.outer(errors, errors),
+        noise={n: parse_quantity(v, _NOISE_UNIT.get(n, "m"), n) for n, v in table.get("noise", {}).items()},
+        reference=reference,
+        curve={name: np.array(v, dtype=float) for name, v in table.get("curve", {}).items()},
+        findings=tuple(map(str, head["findings"])),
+        source=str(head["source"]),
+    )
+
+
+def summary_rows(calibration: Calibration) -> list[tuple[str, str, str]]:
+    """Return name, value and error of every unknown that says something, for tables."""
+    rows = []
+    for unknown in UNKNOWNS:
+        value, error = calibration.values[unknown.name], calibration.error(unknown.name)
+        if value != NEUTRAL[unknown.name] or error > 0.0:
+            unit = unknown.unit
+            rows.append((unknown.name, format_quantity(value, unit, 4), format_quantity(error, unit, 2)))
+    return rows
+
+
+def joint(names: Sequence[str], blocks: Mapping[str, float], covariance: _Floats) -> tuple[tuple[str, ...], _Floats]:
+    """Return a covariance with further, independent unknowns (name to standard deviation) behind the others."""
+    more = [name for name in blocks if name not in names]
+    size = len(names) + len(more)
+    result = np.zeros((size, size))
+    result[: len(names), : len(names)] = covariance
+    for i, name in enumerate(more):
+        result[len(names) + i, len(names) + i] = blocks[name] ** 2
+    return (*names, *more), result
