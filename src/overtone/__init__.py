@@ -22,13 +22,29 @@ if TYPE_CHECKING:
     from overtone.dynamics.steady import steady_states as steady_states
     from overtone.harmonics import to_force_harmonics as to_force_harmonics
     from overtone.harmonics import to_observables as to_observables
+    from overtone.instrument.approach_fit import Reference as Reference
+    from overtone.instrument.calibrate import calibrate as calibrate
+    from overtone.instrument.calibration import Calibration as Calibration
+    from overtone.instrument.calibration import load_calibration as load_calibration
+    from overtone.instrument.calibration import save_calibration as save_calibration
+    from overtone.instrument.correct import calibration_of as calibration_of
+    from overtone.instrument.correct import correct as correct
+    from overtone.instrument.demodulate import demodulate as demodulate
+    from overtone.instrument.instrument import Instrument as Instrument
+    from overtone.instrument.thermal import fit_thermal as fit_thermal
+    from overtone.instrument.thermal_noise import thermal_noise_density as thermal_noise_density
     from overtone.inversion.properties import map_energy as map_energy
     from overtone.inversion.properties import map_properties as map_properties
     from overtone.inversion.reconstruction import reconstruct_force as reconstruct_force
+    from overtone.io.curves import open_curve as open_curve
     from overtone.io.netcdf import load as load
     from overtone.io.netcdf import save as save
     from overtone.io.observables import open_scan as open_scan
     from overtone.io.registry import read_channels as read_channels
+    from overtone.io.spectrum import read_spectrum as read_spectrum
+    from overtone.io.traces import from_quadratures as from_quadratures
+    from overtone.io.traces import read_quadratures as read_quadratures
+    from overtone.io.traces import read_trace as read_trace
     from overtone.presets import preset as preset
     from overtone.probe import Probe as Probe
     from overtone.probe import load_probe as load_probe
@@ -37,28 +53,44 @@ if TYPE_CHECKING:
 
 # Public name to the module it lives in.
 _HOME = {
+    "Calibration": "instrument.calibration",
+    "Instrument": "instrument.instrument",
     "Probe": "probe",
+    "Reference": "instrument.approach_fit",
     "Sample": "contact.sample",
     "approach_curve": "dynamics.curve",
     "beam_modes": "beam",
+    "calibrate": "instrument.calibrate",
+    "calibration_of": "instrument.correct",
+    "correct": "instrument.correct",
+    "demodulate": "instrument.demodulate",
+    "fit_thermal": "instrument.thermal",
     "force": "contact.evaluate",
     "force_harmonics": "contact.evaluate",
+    "from_quadratures": "io.traces",
     "hold_amplitude": "dynamics.hold",
     "load": "io.netcdf",
+    "load_calibration": "instrument.calibration",
     "load_probe": "probe",
     "map_energy": "inversion.properties",
     "map_properties": "inversion.properties",
     "models": "contact.models",
+    "open_curve": "io.curves",
     "open_scan": "io.observables",
     "preset": "presets",
     "probe_of": "readings",
     "read_channels": "io.registry",
+    "read_quadratures": "io.traces",
+    "read_spectrum": "io.spectrum",
+    "read_trace": "io.traces",
     "reconstruct_force": "inversion.reconstruction",
     "sample": "contact.sample",
     "save": "io.netcdf",
+    "save_calibration": "instrument.calibration",
     "save_probe": "probe",
     "steady_states": "dynamics.steady",
     "tabor_parameter": "contact.validity",
+    "thermal_noise_density": "instrument.thermal_noise",
     "to_force_harmonics": "harmonics",
     "to_observables": "harmonics",
 }

@@ -68,6 +68,7 @@ _QUANTITIES = (
         "quality",
     ),
     Quantity("start_spread", "", "1", "range of ln E over the starting points", "quality"),
+    Quantity("reference", "", "1", "whether a pixel was taken as the reference material", "quality"),
     Quantity("status", "", "1", "what this pixel can be trusted for", "quality"),
 )
 _BY_NAME = {quantity.name: quantity for quantity in _QUANTITIES}

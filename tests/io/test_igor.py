@@ -150,6 +150,50 @@ def test_curve_has_one_channel_a_column(read_wave):
     assert "one point every 0.0001 s" in scan.notes
 
 
+@pytest.mark.parametrize(("unit", "seconds"), [("s", 5e-7), ("ms", 5e-10)])
+@pytest.mark.parametrize("shape", [(50,), (50, 3)])
+def test_waves_over_time_tell_their_sampling_step(read_wave, unit, seconds, shape):
+    labels = [(), ("a", "b", "c")] if len(shape) == 2 else []
+    scan = read_wave(np.ones(shape), labels=labels, steps=(5e-7, 1, 1, 1), axis_units=(unit, "", "", ""))
+    step = scan.facts["sampling_step"]
+    assert (step.value, step.unit) == (pytest.approx(seconds, rel=1e-12, abs=0), "s")
+
+
+@pytest.mark.parametrize(
+    ("unit", "step"), [("", 1e-3), ("m", 1e-3), ("s", 0.0), ("s", -1.0), ("s", math.inf)]
+)
+def test_other_waves_have_no_sampling_step(read_wave, unit, step):
+    line = read_wave(np.ones(4), steps=(step, 1, 1, 1), axis_units=(unit, "", "", ""))
+    assert "sampling_step" not in line.facts
+
+
+def test_images_have_no_sampling_step(read_wave):
+    image = read_wave(np.ones((4, 3, 1)), axis_units=("s", "m", "", ""))
+    assert "sampling_step" not in image.facts
+
+
+def test_one_measurement_written_down_twice_is_one_resonance(read_wave):
+    same = NOTE.replace("TuneFreqResult: 1.6179e+05", "TuneFreqResult: 161814.5").replace(
+        "TuneQResult: 290", "TuneQResult: 287"
+    )
+    scan = read_wave(np.ones((2, 2, 1)), note=same)
+    assert [(r.source, r.frequency) for r in scan.resonances] == [("thermal", 161814.5)]
+    assert len(read_wave(np.ones((2, 2, 1)), note=NOTE).resonances) == 2
+
+
+def test_a_lift_pass_has_settings_of_its_own(read_wave):
+    note = NOTE + "\rDriveAmplitude: 0.2\rNapHeight: 5e-08\rNapDriveAmplitude: 0.1\rNapDriveFrequency: 161000"
+    labels = [(), (), ("AmplitudeTrace", "NapAmplitudeTrace")]
+    facts = read_wave(np.ones((2, 2, 2)), note=note, labels=labels).facts
+    assert {name: (fact.value, fact.unit) for name, fact in facts.items() if "lift" in name} == {
+        "lift_height": (5e-8, "m"),
+        "lift_drive_amplitude": (0.1, "V"),
+        "lift_drive_frequency": (161000.0, "Hz"),
+    }
+    assert facts["drive_amplitude"].value == 0.2
+    assert "lift_height" not in read_wave(np.ones((2, 2, 1)), note=note, labels=[(), (), labels[2][:1]]).facts
+
+
 def test_plain_waves_of_one_and_two_dimensions(read_wave):
     line = read_wave(np.arange(4.0), unit="nm")
     assert (line.vendor, line.dims, line.channels[0].name, line.channels[0].unit) == (
@@ -317,6 +361,7 @@ def test_dynamic_approach_curve(afm_data):
     assert curve.facts["stiffness"].value == 25.36
     assert (curve.resonances[0].frequency, curve.resonances[0].quality_factor) == (127970.0, 8.1153)
     assert (curve.metadata["Indexes"], curve.metadata["Direction"]) == ("0,7643,15285", "NaN,1,-1,")
+    assert curve.facts["sampling_step"].value == pytest.approx(6e-5, rel=1e-9, abs=0)
 
 
 def test_lever_that_was_never_tuned(afm_data):

@@ -108,6 +108,52 @@ def test_recording(tmp_path, dataset):
     assert any("status, F_cons" in note for note in scan.notes)
 
 
+@pytest.mark.parametrize("names", [("trace", "retrace"), ("approach", "retract")])
+def test_directions_become_those_of_the_channels(tmp_path, names):
+    values = np.arange(12.0).reshape(2, 2, 3)
+    both = xr.Dataset(
+        {"A1": (("direction", "y", "x"), values, {"units": "m"}), "height": (("y", "x"), values[0])},
+        {"direction": list(names)},
+    )
+    save(both, tmp_path / "both.nc")
+    scan = read_channels(tmp_path / "both.nc")
+    assert scan.dims == ("y", "x")
+    assert [(c.name, c.direction) for c in scan.channels] == [
+        ("A1", names[0]),
+        ("A1", names[1]),
+        ("height", None),
+    ]
+    for k, channel in enumerate(scan.channels[:2]):
+        np.testing.assert_array_equal(channel.values, values[k])
+    # one of them alone keeps its name, as a coordinate or as an attribute
+    save(both.sel(direction=names[1]), tmp_path / "one.nc")
+    assert {c.direction for c in read_channels(tmp_path / "one.nc").channels} == {names[1]}
+    bare = both.sel(direction=names[1], drop=True).assign_attrs(direction=names[1])
+    save(bare, tmp_path / "bare.nc")
+    assert {c.direction for c in read_channels(tmp_path / "bare.nc").channels} == {names[1]}
+    save(bare.assign_attrs(direction="up"), tmp_path / "other.nc")
+    assert {c.direction for c in read_channels(tmp_path / "other.nc").channels} == {None}
+
+
+def test_a_lift_pass_is_told_apart(tmp_path, dataset):
+    lifted = dataset.assign(lift_A1=dataset["A1"] * 2, lift_phi1=dataset["phi1"])
+    save(lifted.assign_attrs(lift_height=4e-8), tmp_path / "lift.nc")
+    scan = read_channels(tmp_path / "lift.nc")
+    assert [c.name for c in scan.channels if c.nap] == ["lift_A1", "lift_phi1"]
+    assert (scan.facts["lift_height"].value, scan.facts["lift_height"].unit) == (4e-8, "m")
+    save(dataset.assign_attrs(lift_height=4e-8), tmp_path / "none.nc")
+    assert not read_channels(tmp_path / "none.nc").facts
+
+
+def test_where_the_height_of_a_curve_is_zero(tmp_path):
+    curve = xr.Dataset({"A1": ("z", np.ones(3), {"units": "m"})}, {"z": ("z", [3e-9, 2e-9, 1e-9])})
+    save(curve, tmp_path / "curve.nc")
+    assert "zero of z" not in read_channels(tmp_path / "curve.nc").metadata
+    curve["z"].attrs["zero"] = "arbitrary"
+    save(curve, tmp_path / "curve.nc")
+    assert read_channels(tmp_path / "curve.nc").metadata["zero of z"] == "arbitrary"
+
+
 def test_stack_and_curve_dimensions(tmp_path):
     stack = xr.Dataset(
         {"A1": (("setpoint", "z"), np.ones((2, 3)), {"units": "m"})}, {"setpoint": [0.5, 0.7], "z": [0, 1, 2]}

@@ -346,3 +346,218 @@ def test_deflection_with_the_set_point_in_it_is_not_a_mean_deflection(
     with pytest.warns(ChannelWarning, match="a set-point is still in it"), warnings.catch_warnings():
         warnings.simplefilter("ignore", PhaseReferenceWarning)
         assert "A0" not in open_scan(path)
+
+
+# --- lines and passes -------------------------------------------------------------------------------
+
+
+def test_trace_and_retrace_of_a_netcdf_file(scan: xr.Dataset, tmp_path: Path) -> None:
+    path = tmp_path / "both.nc"
+    back = scan.assign({name: 1.02 * scan[name] for name in ("A1", "A2", "A0")})
+    both = xr.concat([scan, back], dim="direction", combine_attrs="override")
+    save(both.assign_coords(direction=["trace", "retrace"]), path)
+    with pytest.raises(ChannelError, match="one line direction"):
+        open_scan(path)
+    for direction, truth in (("trace", scan), ("retrace", back)):
+        again = open_scan(path, direction=direction)
+        assert again.attrs["direction"] == direction
+        assert again["A1"].dims == ("y", "x")
+        for name in ("A0", "A1", "phi1", "A2", "phi2", "height"):
+            np.testing.assert_array_equal(again[name], truth[name])
+        # what was opened as one line is one when it is opened again
+        save(again, tmp_path / "one.nc")
+        assert open_scan(tmp_path / "one.nc").attrs["direction"] == direction
+    with pytest.raises(ChannelError, match="has no approach: expected retrace or trace"):
+        open_scan(path, direction="approach")
+
+
+def test_the_nap_pass_of_a_real_file(afm_data: Path) -> None:
+    from igor2 import binarywave
+
+    path = afm_data / "ibw" / "AutexysEFM_0000.ibw"
+    stated = binarywave.load(str(path))["wave"]["wData"]
+    main, nap = quietly(path), quietly(path, lift=True)
+    assert (main["A1"].attrs["channel"], nap["A1"].attrs["channel"]) == ("Amplitude", "NapAmplitude")
+    assert nap["phi1"].attrs["channel"] == "NapPhase"
+    assert set(nap.data_vars) == {"A1", "phi1"}  # there is no other Nap channel, and none is lent
+    for row, column in [(0, 0), (0, 31), (31, 0), (7, 20)]:
+        assert float(nap["A1"][row, column]) == stated[column, 31 - row, 2]
+        assert float(main["A1"][row, column]) == stated[column, 31 - row, 1]
+        assert math.degrees(float(nap["phi1"][row, column])) == pytest.approx(
+            float(stated[column, 31 - row, 4]), rel=1e-12, abs=0
+        )
+    assert nap.attrs["pass"] == "lift"
+    assert nap.attrs["lift_height"] == 1e-8
+    assert "pass" not in main.attrs
+    # its drive is another one, 47 Hz and a factor of 29 away: the probe of the main pass is not sure
+    assert "60.248 kHz (NapDriveFrequency) instead of 60.201 kHz" in said(nap)
+    assert "10 mV (NapDriveAmplitude) instead of 290.64 mV" in said(nap)
+    assert "drive of its own" not in said(main)
+    reading = reading_of(nap)
+    assert reading is not None
+    assert not reading.phase_established
+
+
+def test_the_main_pass_takes_no_nap_channel_by_name(afm_data: Path) -> None:
+    path = afm_data / "ibw" / "AutexysEFM_0000.ibw"
+    with pytest.raises(ChannelError, match="no channel for A1"):
+        quietly(path, channels={"A1": "NapAmplitude"})
+    named = quietly(path, channels={"A1": "NapAmplitude"}, lift=True)
+    assert named["A1"].attrs["channel"] == "NapAmplitude"
+
+
+@pytest.mark.parametrize(
+    ("own", "same"),
+    [
+        ("NapDriveFrequency: 257000\rNapDriveAmplitude: 0.1\rDriveAmplitude: 0.1", True),
+        ("NapDriveFrequency: 257100\rNapDriveAmplitude: 0.1\rDriveAmplitude: 0.1", False),
+        ("NapDriveFrequency: 257000\rNapDriveAmplitude: 0.2\rDriveAmplitude: 0.1", False),
+        ("ScanRate: 1", True),
+    ],
+)
+def test_a_lift_pass_with_a_drive_of_its_own(
+    igor_wave: Callable[..., bytes], tmp_path: Path, own: str, same: bool
+) -> None:
+    note = "SpringConstant: 28\rThermalQ: 400\rThermalFrequency: 257000\rDriveFrequency: 257000\rAmpInvOLS: 4e-8\r"
+    note += "FreeAirAmplitude: 1\rFreeAirPhase: 90\rImagingMode: AC Mode\r" + own
+    values = np.stack([np.full((3, 4), v) for v in (20e-9, 60.0, 39e-9, 78.0)], axis=-1)
+    labels = [[], [], ["AmplitudeRetrace", "PhaseRetrace", "NapAmplitudeRetrace", "NapPhaseRetrace"]]
+    path = tmp_path / "lift.ibw"
+    path.write_bytes(igor_wave(values, note=note, labels=labels))
+    lift = quietly(path, lift=True)
+    readings = [reading_of(lift), reading_of(quietly(path))]
+    assert [reading.phase_established for reading in readings if reading is not None] == [same, True]
+    assert ("drive of its own" in said(lift)) != same
+    assert float(lift["A1"][0, 0]) == pytest.approx(39e-9, rel=1e-6, abs=0)
+
+
+def test_a_file_without_a_lift_pass(afm_data: Path, scan: xr.Dataset, tmp_path: Path) -> None:
+    with pytest.raises(ChannelError, match="has no Nap or Lift pass: expected channels such as"):
+        open_scan(afm_data / "ibw" / "AR_20211011.ibw", lift=True)
+    save(scan, tmp_path / "scan.nc")
+    with pytest.raises(ChannelError, match="has no Nap or Lift pass"):
+        open_scan(tmp_path / "scan.nc", lift=True)
+
+
+def test_the_lift_pass_of_a_netcdf_file(scan: xr.Dataset, tmp_path: Path) -> None:
+    path = tmp_path / "lift.nc"
+    lift = {f"lift_{name}": array + 0.25 * abs(array) for name, array in scan.data_vars.items()}
+    save(scan.assign(lift).assign_attrs(lift_height=50e-9), path)
+    main, far = open_scan(path), open_scan(path, lift=True)
+    assert set(main.data_vars) == set(far.data_vars) == set(scan.data_vars)
+    for name in scan.data_vars:
+        np.testing.assert_array_equal(main[name], scan[name])
+        np.testing.assert_array_equal(far[name], lift[f"lift_{name}"])
+    assert far.attrs["lift_height"] == 50e-9
+    assert provenance.history(far)[-1]["arguments"]["lift"] is True
+    # half a pass is none
+    save(scan.assign(lift_A1=scan["A1"]), path)
+    with pytest.raises(ChannelError, match="no channel for phi1"):
+        open_scan(path, lift=True)
+
+
+def test_the_zero_of_a0_is_what_a_lift_pass_is_for(scan: xr.Dataset, tmp_path: Path) -> None:
+    path = tmp_path / "lift.nc"
+    off = scan["A0"] + 8e-9
+    lift = {f"lift_{name}": scan[name] for name in ("A1", "phi1")} | {"lift_A0": off}
+    save(scan.assign(lift | {"A0": off}), path)
+    with pytest.warns(ChannelWarning, match="A0 .* averages 8"):
+        assert "A0" not in open_scan(path)
+    np.testing.assert_array_equal(open_scan(path, lift=True)["A0"], off)
+
+
+# --- saturation -------------------------------------------------------------------------------------
+
+
+def noisy(seed: int = 3, shape: tuple[int, int] = (40, 50)) -> xr.Dataset:
+    random = np.random.default_rng(seed)
+    noise = {name: random.normal(size=shape) for name in ("A0", "A1", "phi1", "A2", "phi2")}
+    means = {
+        "A0": (100e-12, 5e-12),
+        "A1": (40e-9, 1e-10),
+        "phi1": (0.4, 0.01),
+        "A2": (90e-12, 5e-12),
+        "phi2": (4, 0.1),
+    }
+    return xr.Dataset(
+        {
+            name: (
+                ("y", "x"),
+                means[name][0] + means[name][1] * n,
+                {"units": "rad" if "phi" in name else "m"},
+            )
+            for name, n in noise.items()
+        }
+    )
+
+
+def opened_saying(dataset: xr.Dataset, folder: Path) -> str:
+    save(dataset, folder / "scan.nc")
+    return said(quietly(folder / "scan.nc", probe=demo_probe(), corrected=True))
+
+
+@pytest.mark.parametrize(("name", "side"), [("A2", "largest"), ("A0", "smallest"), ("phi1", "largest")])
+def test_a_clipped_channel_is_named(tmp_path: Path, name: str, side: str) -> None:
+    whole = noisy()
+    assert "saturated" not in opened_saying(whole, tmp_path)
+    limit = float(whole[name].quantile(0.97 if side == "largest" else 0.03))
+    clipped = whole[name].clip(**{"max" if side == "largest" else "min": limit}, keep_attrs=True)
+    text = opened_saying(whole.assign({name: clipped}), tmp_path)
+    assert (
+        f"ChannelWarning: {name} ({name}) is saturated: 3 % of its pixels sit exactly at its {side}" in text
+    )
+    assert text.count("saturated") == 1
+    # 1 % and less may be chance
+    limit = float(whole[name].quantile(0.99 if side == "largest" else 0.01))
+    few = whole[name].clip(**{"max" if side == "largest" else "min": limit}, keep_attrs=True)
+    assert int((few == limit).sum()) == 20
+    assert "saturated" not in opened_saying(whole.assign({name: few}), tmp_path)
+
+
+def test_both_ends_of_a_range(tmp_path: Path) -> None:
+    whole = noisy()
+    low, high = (float(whole["A2"].quantile(q)) for q in (0.05, 0.95))
+    text = opened_saying(whole.assign(A2=whole["A2"].clip(low, high, keep_attrs=True)), tmp_path)
+    assert "exactly at its largest" in text
+    assert "exactly at its smallest" in text
+
+
+def test_what_repeats_for_other_reasons_is_not_saturated(tmp_path: Path) -> None:
+    whole = noisy()
+    # a coarse converter repeats every value, here in 40 of 2000 pixels at an end and in 80 elsewhere
+    ranks = np.random.default_rng(5).permutation(2000).reshape(40, 50)
+    coarse = whole["A2"].copy(data=80e-12 + 1e-12 * np.round(ranks / 80.0))
+    assert int((coarse == coarse.max()).sum()) > 20
+    # a feedback that holds the amplitude, and two materials without noise
+    held = xr.full_like(whole["A1"], 40e-9)
+    half = xr.where(np.arange(50) < 20, 1.0, 1.1) * xr.ones_like(whole["A2"])
+    for change in ({"A2": coarse}, {"A1": held}, {"A2": whole["A2"].copy(data=half.values * 90e-12)}):
+        assert "saturated" not in opened_saying(whole.assign(change), tmp_path)
+    # free pixels of a simulation without noise: nothing moves there
+    free = np.arange(50) < 10
+    still = {
+        name: whole[name].where(~free, limit(whole[name].values)) for name, limit in {"A1": np.max}.items()
+    } | {name: whole[name].where(~free, float(whole[name].mean())) for name in ("A0", "phi1", "A2", "phi2")}
+    assert "saturated" not in opened_saying(whole.assign(still), tmp_path)
+    assert "saturated" in opened_saying(whole.assign(A1=still["A1"]), tmp_path)
+
+
+def test_no_real_file_is_called_saturated(afm_data: Path) -> None:
+    names = ("AR_20211011", "AutexysEFM_0000", "DTMicroscope_scan_0001_DART", "tono_whiskers")
+    paths = [afm_data / "ibw" / f"{name}.ibw" for name in (*names, "IgorIBWReader_ImageStack_BTFO_DSO")]
+    for path in paths:
+        assert "saturated" not in said(quietly(path, probe=snom_probe())), path.name
+    assert "saturated" not in said(quietly(paths[1], probe=snom_probe(), lift=True))
+    scales = {f"M{n}A": 1e-9 for n in (0, 2, 3, 4, 5)}
+    snom = quietly(afm_data / SNOM, probe=snom_probe(), far_phase=1.57, scales=scales)
+    assert "saturated" not in said(snom)
+
+
+def test_a_clipped_layer_of_a_real_scan(afm_data: Path, tmp_path: Path) -> None:
+    """The amplitude of a real scan, cut at its 95th percentile in place."""
+    content = bytearray((afm_data / "ibw" / "AR_20211011.ibw").read_bytes())
+    size = 128 * 128
+    amplitude = np.frombuffer(content, "<f4", count=size, offset=384 + 4 * size)
+    content[384 + 4 * size : 384 + 8 * size] = np.minimum(amplitude, np.quantile(amplitude, 0.95)).tobytes()
+    (tmp_path / "clipped.ibw").write_bytes(bytes(content))
+    assert "A1 (Amplitude) is saturated: 5 % of its pixels" in said(quietly(tmp_path / "clipped.ibw"))

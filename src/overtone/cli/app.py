@@ -12,10 +12,13 @@ from rich.markup import escape
 
 from overtone._version import __version__
 from overtone.cli.demo import demo
+from overtone.cli.demodulate import demodulate
 from overtone.cli.inspect import inspect
 from overtone.cli.map import map_scan
 from overtone.cli.models import models
+from overtone.cli.protocol import protocol
 from overtone.cli.simulate import simulate
+from overtone.cli.thermal import thermal
 from overtone.errors import OvertoneError, OvertoneWarning
 
 app = App(
@@ -28,6 +31,9 @@ app.command(inspect)
 app.command(map_scan, name="map")
 app.command(models)
 app.command(simulate)
+app.command(demodulate)
+app.command(protocol)
+app.command(thermal)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

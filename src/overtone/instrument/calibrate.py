@@ -69,14 +69,18 @@ _LEAST_QUALITY_ERROR = 0.003  # what a response that is not quite that of one mo
 _OFF = 0.03  # relative, between stated and measured free amplitude
 
 
-class _Parts(NamedTuple):
+class CurveParts(NamedTuple):
     """An approach curve, sorted from far to near, cut where it begins to feel the sample."""
 
     signals: Signals
     height: _Floats
+    """(point,) [m]."""
     far: slice
+    """Points that feel nothing."""
     contact: slice
+    """Points from the first loss of amplitude on."""
     onset: float
+    """Height of the first of them [m]."""
 
 
 def calibrate(
@@ -142,7 +146,7 @@ def calibrate(
         raise CalibrationError(
             f"{sorted(unknown)[0]!r} is no unknown of a calibration", expected=", ".join(ERRORS)
         )
-    parts = _split(approach)
+    parts = split_curve(approach)
     findings: list[str] = []
     _, free, _, scatter = _free_reading(parts)
     amplitude = abs(free)
@@ -197,7 +201,7 @@ def _check(approach: xr.Dataset) -> None:
         raise CalibrationError("the approach curve has no heights", expected="a coordinate z [m]")
 
 
-def _split(approach: xr.Dataset) -> _Parts:
+def split_curve(approach: xr.Dataset) -> CurveParts:
     """Sort a curve from far to near and find where it begins to feel the sample.
 
     Raises
@@ -245,7 +249,7 @@ def _split(approach: xr.Dataset) -> _Parts:
             got=f"{far}" if far < _FEWEST_FAR else f"an amplitude that falls by {format_quantity(drop, 'm')} among the first {first}",
             hint="a curve that begins farther away",
         )
-    return _Parts(signals, height, slice(0, far), slice(touch, order.size), onset)
+    return CurveParts(signals, height, slice(0, far), slice(touch, order.size), onset)
 
 
 def _take(signals: Signals, part: slice) -> Signals:
@@ -254,12 +258,12 @@ def _take(signals: Signals, part: slice) -> Signals:
     )
 
 
-def _points(parts: _Parts, part: slice) -> FarPoints:
+def _points(parts: CurveParts, part: slice) -> FarPoints:
     height = parts.height[part]
     return FarPoints(_take(parts.signals, part), np.ones(height.size), height, np.zeros(height.size, np.int64))
 
 
-def _ladder(far_field: xr.Dataset, parts: _Parts, findings: list[str]) -> FarPoints:
+def _ladder(far_field: xr.Dataset, parts: CurveParts, findings: list[str]) -> FarPoints:
     """Return far-field readings; heights of another origin do not count."""
     validate_observables(far_field)
     points = ladder_points(far_field)
@@ -271,7 +275,7 @@ def _ladder(far_field: xr.Dataset, parts: _Parts, findings: list[str]) -> FarPoi
     return points
 
 
-def _free_reading(parts: _Parts) -> tuple[complex, complex, bool, dict[str, float]]:
+def _free_reading(parts: CurveParts) -> tuple[complex, complex, bool, dict[str, float]]:
     """Return a_1 of the free lever at the far end and at the onset, whether they differ, and scatter of A1 and phi1."""
     a, height = parts.signals.phasor[1][parts.far], parts.height[parts.far]
     middle = complex(np.exp(1j * np.angle(a.mean())))
@@ -291,7 +295,7 @@ def _free_reading(parts: _Parts) -> tuple[complex, complex, bool, dict[str, floa
 
 
 def _lever(
-    parts: _Parts,
+    parts: CurveParts,
     probe: Probe,
     far_field: xr.Dataset | None,
     compression: float,
@@ -363,7 +367,7 @@ def _unfitted(width: Mapping[str, float], far: FarField) -> dict[str, float]:
 
 
 def _corrected(
-    parts: _Parts, values: Mapping[str, float], amplitude: float, centre: float
+    parts: CurveParts, values: Mapping[str, float], amplitude: float, centre: float
 ) -> dict[str, _Floats]:
     """Return the corrected curve in contact, thinned."""
     signals, height, _ = _binned(parts, amplitude, _BINS)
@@ -378,7 +382,7 @@ def _corrected(
     return curve
 
 
-def _binned(parts: _Parts, amplitude: float, bins: int) -> tuple[Signals, _Floats, _Floats]:
+def _binned(parts: CurveParts, amplitude: float, bins: int) -> tuple[Signals, _Floats, _Floats]:
     """Return the part in contact averaged over neighbours, with heights and how many went into each."""
     part = parts.contact
     A = np.abs(parts.signals.phasor[1][part])
@@ -409,7 +413,7 @@ def _binned(parts: _Parts, amplitude: float, bins: int) -> tuple[Signals, _Float
 
 
 def _with_reference(
-    parts: _Parts,
+    parts: CurveParts,
     near: Probe,
     reference: Reference,
     far: FarField,

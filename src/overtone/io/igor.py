@@ -130,8 +130,11 @@ def read(path: Path) -> Recording:
     without_unit = [channel.name for channel in channels if channel.unit is None]
     if without_unit:
         notes.append(f"no unit in the file: {', '.join(without_unit)}")
+    facts = _facts(settings, {channel.name for channel in channels}) if asylum else {}
     if asylum:
         notes.extend(_changed_during_the_scan(wave.note))
+    if dims == ("point",):
+        facts |= _sampling_step(wave)
     return Recording(
         path=path,
         format="igor",
@@ -139,7 +142,7 @@ def read(path: Path) -> Recording:
         dims=dims,
         coords=coords,
         channels=channels,
-        facts=_facts(settings, {channel.name for channel in channels}) if asylum else {},
+        facts=facts,
         resonances=_resonances(settings, notes) if asylum else (),
         metadata=metadata,
         notes=tuple(notes),
@@ -352,6 +355,15 @@ def _facts(settings: _Settings, channels: set[str]) -> dict[str, Fact]:
             is_default = scale is not None and math.isclose(scale, default, rel_tol=1e-4)
             add(f"scale:{channel}", scale, "m/V", settings.spelling(key), is_default)
 
+    if any(channel.startswith("Nap") for channel in channels):
+        for name, key, unit in (
+            ("lift_height", "NapHeight", "m"),
+            ("drive_amplitude", "DriveAmplitude", "V"),
+            ("lift_drive_amplitude", "NapDriveAmplitude", "V"),
+            ("lift_drive_frequency", "NapDriveFrequency", "Hz"),
+        ):
+            add(name, settings.measured(key), unit, settings.spelling(key))
+
     amplitudes = {"free_amplitude": "FreeAirAmplitude", "tune_amplitude": "TunePeakResult"}
     # The amplitude set-point governs the scan only where the amplitude is the feedback.
     if settings.text("ImagingMode") in (None, "AC Mode"):
@@ -368,7 +380,7 @@ def _facts(settings: _Settings, channels: set[str]) -> dict[str, Fact]:
 
 
 def _resonances(settings: _Settings, notes: list[str]) -> tuple[Resonance, ...]:
-    resonances = []
+    resonances: list[Resonance] = []
     for source, frequency_key, quality_key, default_frequency, default_quality in (
         ("thermal", "ThermalFrequency", "ThermalQ", _DEFAULT_THERMAL_FREQUENCY, _DEFAULT_THERMAL_Q),
         ("tune", "TuneFreqResult", "TuneQResult", None, _DEFAULT_TUNE_Q),
@@ -385,9 +397,19 @@ def _resonances(settings: _Settings, notes: list[str]) -> tuple[Resonance, ...]:
                 f"{settings.spelling('ResFreq1')} gives it in full, {full:.2f} Hz"
             )
             frequency, frequency_key = full, "ResFreq1"
-        keys = (settings.spelling(frequency_key), settings.spelling(quality_key))
-        resonances.append(Resonance(source, frequency, quality, keys, default))
+        # A thermal fit and a tune that agree to the last digit are one measurement written down twice.
+        if not any((r.frequency, r.quality_factor) == (frequency, quality) for r in resonances):
+            keys = (settings.spelling(frequency_key), settings.spelling(quality_key))
+            resonances.append(Resonance(source, frequency, quality, keys, default))
     return tuple(resonances)
+
+
+def _sampling_step(wave: _Wave) -> dict[str, Fact]:
+    """Return the time between points, where the scaling of the wave is a time."""
+    known = to_si(wave.axis_units[0]) if wave.axis_units[0] else None
+    if known is None or known[1] != "s" or not (wave.steps[0] > 0.0 and math.isfinite(wave.steps[0])):
+        return {}
+    return {"sampling_step": Fact(wave.steps[0] * known[0], "s", "wave scaling")}
 
 
 def _channel(

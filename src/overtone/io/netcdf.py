@@ -16,8 +16,9 @@ import xarray as xr
 
 from overtone.errors import FileFormatError, ObservablesError
 from overtone.io.atomic import atomic_path
-from overtone.io.recording import Channel, Recording
+from overtone.io.recording import Channel, Fact, Recording
 from overtone.io.si import to_si
+from overtone.io.vendors import LIFT
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _CLASSIC = b"CDF"
@@ -27,6 +28,7 @@ _SEAL = b"\novertone blake2b "
 _DIGEST_SIZE = 32
 _LENGTHS = ("y", "x", "z")
 _KNOWN_DIMS = {"y", "x", "z", "setpoint", "scan", "point"}
+_DIRECTIONS = ("trace", "retrace", "approach", "retract")
 # Deflate cannot shrink data more than this; whoever claims more has a damaged header.
 _LARGEST_RATIO = 1100
 _SLACK = 1 << 22
@@ -38,31 +40,32 @@ def sniff(path: Path, head: bytes) -> bool:
 
 
 def save(dataset: xr.Dataset, path: str | Path) -> None:
-    """Write a dataset to a netCDF file, whole or not at all.
+    """Write a dataset to a netCDF file, whole or not at all; observables also as an Igor wave.
 
-    Arrays of floats are compressed without loss. The file ends with a digest, so that damage is
+    In netCDF arrays of floats are compressed without loss. The file ends with a digest, so that damage is
     noticed when it is read again. Attributes that netCDF cannot hold, such as None,
-    truth values and nested records, are written as JSON text.
+    truth values and nested records, are written as JSON text. A name that ends in ``.ibw`` gives the layout of
+    Asylum's microscopes; `overtone.io.igor_write.write` says what such a file cannot hold.
 
     Parameters
     ----------
     dataset : Dataset
         Observables, force harmonics, properties or anything else xarray holds.
     path : str or Path
-        Name that ends in ``.nc``; an existing file is replaced once the new one is complete.
+        Name that ends in ``.nc`` or ``.ibw``; an existing file is replaced once the new one is complete.
 
     Raises
     ------
     FileFormatError
-        If the name does not end in .nc, the folder does not exist or the file cannot be written.
+        If the name ends in neither .nc nor .ibw, the folder does not exist or the file cannot be written.
     ObservablesError
-        If the argument is no dataset, or holds arrays that netCDF cannot.
+        If the argument is no dataset, or holds arrays that the format cannot.
     """
     target = Path(path)
-    if target.suffix.lower() != ".nc":
+    if target.suffix.lower() not in (".nc", ".ibw"):
         raise FileFormatError(
             f"cannot save as {target.name!r}",
-            expected="a name that ends in .nc (netCDF)",
+            expected="a name that ends in .nc (netCDF) or .ibw (observables as an Igor wave)",
             got=repr(target.suffix),
         )
     if not isinstance(dataset, xr.Dataset):
@@ -72,6 +75,11 @@ def save(dataset: xr.Dataset, path: str | Path) -> None:
             got=type(dataset).__name__,
             hint="array.to_dataset(name=...) for a single array",
         )
+    if target.suffix.lower() == ".ibw":
+        from overtone.io.igor_write import write as write_igor
+
+        write_igor(dataset, target)
+        return
     for name, array in dataset.variables.items():
         if array.dtype.kind == "c":
             raise ObservablesError(
@@ -139,8 +147,10 @@ def load(path: str | Path) -> xr.Dataset:
 def read(path: Path) -> Recording:
     """Read a netCDF file as a recording: every float variable over known dimensions is a channel.
 
-    A recording has one set of dimensions, that of ``A1`` or else the commonest; variables over
-    others are left out, and notes name them. A dimension ``direction`` becomes that of the channels.
+    A recording has one set of dimensions, that of ``A1`` or else the commonest; variables over others are left
+    out, and notes name them. A dimension, a single value or an attribute ``direction`` (trace and retrace,
+    approach and retract) becomes that of the channels. Variables ``lift_A0``, ``lift_A1``, ``lift_phi1``, ...
+    are the Nap or Lift pass of the same scan.
 
     Parameters
     ----------
@@ -155,7 +165,13 @@ def read(path: Path) -> Recording:
     with path.open("rb") as stream:
         dataset = _load(path, stream.read(8))
     notes: list[str] = []
-    parts = [part for name, array in dataset.data_vars.items() for part in _by_direction(str(name), array)]
+    stated = dataset.attrs.get("direction")
+    only = str(stated) if stated in _DIRECTIONS else None
+    parts = [
+        (part, values, only if way is None else way)
+        for name, array in dataset.data_vars.items()
+        for part, values, way in _by_direction(str(name), array)
+    ]
     usable = [
         (name, array, direction)
         for name, array, direction in parts
@@ -177,6 +193,13 @@ def read(path: Path) -> Recording:
         notes.append(
             f"left out, because they are not floats over {' and '.join(dims)}: {', '.join(left_out)}"
         )
+    metadata = {str(key): _as_text(value) for key, value in dataset.attrs.items()}
+    if "z" in dims and "z" in dataset.coords and "zero" in dataset["z"].attrs:
+        metadata["zero of z"] = _as_text(dataset["z"].attrs["zero"])
+    facts = {}
+    lift_height = dataset.attrs.get("lift_height")
+    if isinstance(lift_height, float | np.floating) and any(channel.nap for channel in channels):
+        facts["lift_height"] = Fact(float(lift_height), "m", "lift_height")
     return Recording(
         path=path,
         format="netcdf",
@@ -184,7 +207,8 @@ def read(path: Path) -> Recording:
         dims=dims,
         coords=_coordinates(dataset, dims, notes),
         channels=tuple(channels),
-        metadata={str(key): _as_text(value) for key, value in dataset.attrs.items()},
+        facts=facts,
+        metadata=metadata,
         notes=tuple(dict.fromkeys(notes)),
     )
 
@@ -285,22 +309,26 @@ def _common_dims(usable: dict[str, xr.DataArray]) -> tuple[str, ...]:
 
 def _by_direction(name: str, array: xr.DataArray) -> list[tuple[str, xr.DataArray, str | None]]:
     """Return a variable once for each direction that it holds, or as it is."""
-    if "direction" not in array.dims or "direction" not in array.coords:
+    if "direction" not in array.coords:
         return [(name, array, None)]
+    if "direction" not in array.dims:  # one direction, taken out of several
+        one = array["direction"]
+        return [(name, array, str(one.values) if one.ndim == 0 and one.dtype.kind in "UTO" else None)]
     names = array["direction"].values
     return [(name, array.isel(direction=k, drop=True), str(names[k])) for k in range(names.size)]
 
 
 def _channel(name: str, array: xr.DataArray, direction: str | None, notes: list[str]) -> Channel:
     values = array.values.astype(np.float64)
+    nap = name.startswith(LIFT)
     stated = str(array.attrs.get("units", "")).strip()
     known = to_si(stated) if stated else None
     if known is None:
         notes.append(
             f"{name}: the unit {stated!r} is not known" if stated else f"{name}: the file states no unit"
         )
-        return Channel(name, values, None, direction)
-    return Channel(name, values * known[0], known[1], direction)
+        return Channel(name, values, None, direction, nap)
+    return Channel(name, values * known[0], known[1], direction, nap)
 
 
 def _coordinates(

@@ -9,10 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import xarray as xr
 
-from overtone import provenance
 from overtone.errors import (
     ChannelError,
     ChannelWarning,
@@ -22,12 +20,14 @@ from overtone.errors import (
     UncalibratedWarning,
 )
 from overtone.harmonics import far_phase, read_receptance, to_force_harmonics
-from overtone.io.recording import Channel, Recording
+from overtone.io.opening import kept_warnings, with_history
+from overtone.io.recording import Recording
 from overtone.io.registry import read_channels
 from overtone.io.resonance import PLAUSIBLE_PHASE, free_phase_error, rank_resonances
-from overtone.io.vendors import Vendor, candidates, main_channels, vendor_of
-from overtone.probe import SLOPE, Probe, format_probe
-from overtone.quantities import harmonic_orders, named_array, quantity, validate_observables
+from overtone.io.selection import Request, check_request, choose, drop_unpaired, in_si
+from overtone.io.vendors import Vendor, vendor_of
+from overtone.probe import SLOPE, Probe
+from overtone.quantities import harmonic_orders, named_array, validate_observables
 from overtone.readings import Reading, parse_reading, with_reading
 from overtone.units import format_quantity
 
@@ -35,10 +35,9 @@ from overtone.units import format_quantity
 # little, kappa a1^2 of a photodiode explains it as well as contact does.
 _LOCKED_PHASE = 0.05
 _FLAT_AMPLITUDE = 0.07
-_LARGEST_A0 = 5e-9
 _PRODUCED = 0.05  # share of the drive force that DISS_1 may fall below zero by a small error of the phase
-_HIGHEST = 9
-_OBSERVABLES = ("height", "A0", *(f"{letter}{n}" for n in range(1, _HIGHEST + 1) for letter in ("A", "phi")))
+# Settings of a lift pass that differ from those of the main one by more than their digits in the file.
+_SAME_SETTING = 1e-5
 
 
 def open_scan(
@@ -51,6 +50,7 @@ def open_scan(
     phase_sign: int = 1,
     direction: str | None = None,
     corrected: bool = False,
+    lift: bool = False,
 ) -> xr.Dataset:
     """Open a scan, a curve or a table as observables.
 
@@ -74,93 +74,86 @@ def open_scan(
         ``trace`` or ``retrace`` where the file holds both.
     corrected : bool
         True states that A0 was freed of its offset and the higher harmonics of detector distortion beforehand.
+    lift : bool
+        True opens the Nap or Lift pass, which never mixes with the main one: channels ``Nap...`` of Asylum,
+        variables ``lift_A0``, ``lift_A1``, ... of a netCDF file. Its A0 is kept whatever its offset.
 
     Returns
     -------
     Dataset
         Observables in SI units. Its attributes hold the source, the detector, how the file was read (see
-        `overtone.readings`), and findings and history (see `overtone.provenance`).
+        `overtone.readings`), findings and history (see `overtone.provenance`), and where the file tells the
+        ``direction`` of its lines; of a lift pass also ``pass`` and ``lift_height`` [m].
 
     Raises
     ------
     OvertoneError
         If the file cannot be read, A1 or phi1 is missing, a channel is ambiguous, the probe is not known,
-        or the zero of the phase is not.
+        the zero of the phase is not, or there is no lift pass where one is wanted.
+
+    Warns
+    -----
+    OvertoneWarning
+        Whatever in the file is doubtful: its probe, its phase, a channel without unit, flattened or saturated.
     """
-    recording = read_channels(path)
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        dataset = _observables(
-            recording, probe, channels or {}, scales or {}, far_phase, phase_sign, direction, corrected
-        )
-    # A warning scrolls away; the dataset keeps what it said.
-    for warning in caught:
-        warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
-    warned = [f"{w.category.__name__}: {w.message}" for w in caught]
-    sentences = [*recording.notes, *dict.fromkeys(warned)]
-    dataset = provenance.add_finding(dataset, *map(_sentence, sentences))
-    return provenance.record(
-        dataset,
-        "open_scan",
-        path=str(path),
-        probe=format_probe(probe) if probe else "from the file",
-        channels=dict(channels or {}),
-        scales=dict(scales or {}),
-        far_phase=far_phase,
-        phase_sign=phase_sign,
-        direction=direction,
-        corrected=corrected,
+    request = Request(
+        probe,
+        channels or {},
+        scales or {},
+        far_phase,
+        phase_sign,
+        direction,
+        corrected,
+        lift,
+        keep_offset=lift,
     )
+    with kept_warnings() as said:
+        recording = read_channels(path)
+        dataset = observables_of(recording, request)
+    return with_history(dataset, "open_scan", path, request, [*recording.notes, *said])
 
 
-def _sentence(text: str) -> str:
-    text = text.strip()
-    first = text.split(maxsplit=1)[0] if text else ""
-    if first.isalpha() and first.islower():
-        text = text[0].upper() + text[1:]
-    return text + ("" if text.endswith(".") else ".")
+def observables_of(recording: Recording, request: Request) -> xr.Dataset:
+    """Turn a recording into observables, with everything that speaks against them in warnings.
 
-
-def _observables(
-    recording: Recording,
-    probe: Probe | None,
-    wanted: Mapping[str, str],
-    scales: Mapping[str, float],
-    far_reading: float | None,
-    phase_sign: int,
-    direction: str | None,
-    corrected: bool,
-) -> xr.Dataset:
-    _check_names(recording, wanted, scales, phase_sign)
-    chosen = _choose(recording, wanted, direction)
-    missing = [name for name in ("A1", "phi1") if name not in chosen]
-    if missing:
-        raise ChannelError(
-            f"{recording.path.name} has no channel for {' and '.join(missing)}",
-            expected="amplitude and phase of the first harmonic",
-            got=_names(recording) or "no channels",
-            hint=f"name it, --channel {missing[0]}=NAME",
-        )
-    reading = _reading(recording, probe, far_reading, corrected)
-    turn = _turn(recording, vendor_of(recording), reading.probe, far_reading, phase_sign)
+    Raises
+    ------
+    OvertoneError
+        As `open_scan` does.
+    """
+    check_request(recording, request)
+    chosen = choose(recording, request)
+    reading = _reading(recording, request)
+    vendor = vendor_of(recording)
+    turn = _turn(recording, vendor, reading.probe, request)
     coords = _coords(recording)
     arrays: dict[str, xr.DataArray] = {}
-    for name, values in _in_si(chosen, scales).items():
+    for name, values in in_si(chosen, request).items():
         if name.startswith("phi"):
-            values = phase_sign * values + int(name[3:]) * turn
+            values = request.phase_sign * values + int(name[3:]) * turn
         arrays[name] = named_array(name, values, recording.dims, coords, channel=chosen[name].name)
-    _drop_unpaired(arrays)
-    attributes = {
+    drop_unpaired(arrays)
+    attributes: dict[str, object] = {
         "source": recording.path.name,
         "vendor": recording.vendor,
         "detector": recording.metadata.get("detector", reading.probe.detector.kind),
     }
+    if chosen["A1"].direction:
+        attributes["direction"] = chosen["A1"].direction
+    if request.lift:
+        attributes["pass"] = "lift"
+        if "lift_height" in recording.facts:
+            attributes["lift_height"] = recording.facts["lift_height"].value
     dataset = validate_observables(xr.Dataset(arrays, attrs=attributes))
     _check_probe(recording, dataset, reading.probe)
+    known_drive = not request.lift or _shares_drive(recording)
     established = (
-        reading.phase_established and _is_tapping(recording) and _loses_energy(dataset, reading.probe)
+        reading.phase_established
+        and known_drive
+        and _is_tapping(recording)
+        and _loses_energy(dataset, reading.probe)
     )
-    doubts = _doubts(dataset, reading, vendor_of(recording))
+    doubts = _doubts(dataset, reading, vendor)
     return with_reading(dataset, replace(reading, phase_established=established, doubts=doubts))
 
 
@@ -175,141 +168,6 @@ def missing_for_modulus(observables: xr.Dataset) -> str:
     return f"for a modulus this file lacks {first}, or {second}"
 
 
-# --- channels -------------------------------------------------------------------------------------
-
-
-def _names(recording: Recording) -> str:
-    return ", ".join(dict.fromkeys(channel.name for channel in recording.channels))
-
-
-def _check_names(
-    recording: Recording, wanted: Mapping[str, str], scales: Mapping[str, float], phase_sign: int
-) -> None:
-    if phase_sign not in (1, -1):
-        raise ChannelError("unknown phase sign", expected="1 (lag) or -1 (lead)", got=str(phase_sign))
-    for name in wanted:
-        if name not in _OBSERVABLES:
-            raise ChannelError(
-                f"{name!r} is not an observable",
-                expected="height, A0, A1, phi1, A2, phi2, ...",
-                hint="observable first, then the channel: A2=UserIn0",
-            )
-    known = {channel.name for channel in recording.channels}
-    unknown = [name for name in (*wanted.values(), *scales) if name not in known]
-    if unknown:
-        raise ChannelError(
-            f"{recording.path.name} has no channel {unknown[0]!r}", expected=f"one of {_names(recording)}"
-        )
-
-
-def _choose(recording: Recording, wanted: Mapping[str, str], direction: str | None) -> dict[str, Channel]:
-    """Pick a channel for each observable, all of one line direction."""
-    pool = main_channels(recording)
-    directions = {channel.direction for channel in pool if channel.direction}
-    if direction is not None and direction not in directions:
-        raise ChannelError(
-            f"{recording.path.name} has no {direction}",
-            expected=" or ".join(sorted(directions)) or "no direction",
-        )
-    chosen: dict[str, Channel] = {}
-    for observable in _OBSERVABLES:
-        names = (wanted[observable],) if observable in wanted else candidates(recording, observable)
-        for name in names:
-            found = [
-                c for c in pool if c.name == name and (direction is None or c.direction in (direction, None))
-            ]
-            if len(found) > 1:
-                raise ChannelError(
-                    f"{recording.path.name} holds {name} {len(found)} times",
-                    expected="one line direction",
-                    got=", ".join(str(c.direction) for c in found),
-                    hint=" or ".join(f"--direction {c.direction}" for c in found if c.direction),
-                )
-            if found:
-                chosen[observable] = found[0]
-                break
-    mixed = {c.direction for name, c in chosen.items() if name != "height" and c.direction}
-    if len(mixed) > 1:
-        raise ChannelError(
-            "trace and retrace do not mix",
-            expected="observables of one line direction",
-            got=", ".join(f"{name}: {c.name} {c.direction}" for name, c in chosen.items()),
-            hint=" or ".join(f"--direction {direction}" for direction in sorted(mixed)),
-        )
-    flattened = [c.name for name, c in chosen.items() if name != "height" and c.flattened]
-    if flattened:
-        warnings.warn(
-            f"{', '.join(flattened)} was flattened or plane-fitted: its absolute value is lost",
-            ChannelWarning,
-            stacklevel=2,
-        )
-    return chosen
-
-
-def _in_si(chosen: Mapping[str, Channel], scales: Mapping[str, float]) -> dict[str, npt.NDArray[np.float64]]:
-    """Return the channels in the SI units of their observables; name those that have no usable unit."""
-    values: dict[str, npt.NDArray[np.float64]] = {}
-    without: list[str] = []
-    for name, channel in chosen.items():
-        record = quantity(name)
-        unit = record.unit if record else None
-        if channel.name in scales and channel.unit is not None:
-            raise ChannelError(
-                f"{channel.name} has the unit {channel.unit} in the file",
-                got=f"a scale of {scales[channel.name]:g} for it",
-                hint="scales are for channels without a unit",
-            )
-        if channel.name in scales:
-            values[name] = channel.values * scales[channel.name]
-        elif channel.unit == unit:
-            values[name] = channel.values
-        else:
-            stated = "no unit" if channel.unit is None else f"the unit {channel.unit} instead of {unit}"
-            if name in ("A1", "phi1"):
-                raise ChannelError(
-                    f"{name} ({channel.name}) has {stated}",
-                    expected=f"a channel in {unit}",
-                    hint=f'a unit in the file, or --scale {channel.name}="1 {"nm" if unit == "m" else "deg"}" '
-                    "where it has none",
-                )
-            zero = ", and a zero that is not known" if name == "A0" else ""
-            without.append(f"{name} ({channel.name}: {stated}{zero})")
-    if without:
-        example = chosen[without[0].split()[0]].name
-        warnings.warn(
-            f"not used for want of a unit: {', '.join(without)}. Where you know what one count means, say so: "
-            f'--scale {example}="1 nm"',
-            ChannelWarning,
-            stacklevel=2,
-        )
-    empty = [
-        name for name, array in values.items() if not np.isfinite(array).any() and name not in ("A1", "phi1")
-    ]
-    if empty:
-        warnings.warn(
-            f"not used, because no pixel has a value: {', '.join(empty)}", ChannelWarning, stacklevel=2
-        )
-        values = {name: array for name, array in values.items() if name not in empty}
-    mean = float(np.mean(values["A0"][np.isfinite(values["A0"])])) if "A0" in values else 0.0
-    if abs(mean) > _LARGEST_A0:
-        warnings.warn(
-            f"A0 ({chosen['A0'].name}) averages {format_quantity(mean, 'm')}, where a mean deflection in tapping "
-            "mode is picometres: an offset or a set-point is still in it, so it is not used",
-            ChannelWarning,
-            stacklevel=2,
-        )
-        del values["A0"]
-    return values
-
-
-def _drop_unpaired(arrays: dict[str, xr.DataArray]) -> None:
-    """Leave out a harmonic that has an amplitude without a phase or a phase without an amplitude."""
-    for n in range(2, _HIGHEST + 1):
-        if (f"A{n}" in arrays) != (f"phi{n}" in arrays):
-            arrays.pop(f"A{n}", None)
-            arrays.pop(f"phi{n}", None)
-
-
 def _coords(recording: Recording) -> dict[str, xr.DataArray]:
     names = {"x": "fast axis", "y": "slow axis", "z": "height of the base"}
     return {
@@ -322,12 +180,11 @@ def _coords(recording: Recording) -> dict[str, xr.DataArray]:
 # --- probe and phase ------------------------------------------------------------------------------
 
 
-def _reading(
-    recording: Recording, probe: Probe | None, far_reading: float | None, corrected: bool
-) -> Reading:
+def _reading(recording: Recording, request: Request) -> Reading:
     """Return the probe to use, and what the file leaves open."""
+    probe, far_reading = request.probe, request.far_phase
     stored = parse_reading(recording.metadata)
-    corrected = corrected or (stored is not None and stored.corrected)
+    corrected = request.corrected or (stored is not None and stored.corrected)
     if stored is not None and probe is None:
         return replace(stored, corrected=corrected)
     if probe is not None:
@@ -375,12 +232,10 @@ def _reading(
     return Reading(best.probe, tuple(alternatives), established, corrected)
 
 
-def _turn(
-    recording: Recording, vendor: Vendor, probe: Probe, far_reading: float | None, phase_sign: int
-) -> float:
+def _turn(recording: Recording, vendor: Vendor, probe: Probe, request: Request) -> float:
     """Return what to add to the first-harmonic phase so that far from the sample it is the probe's own."""
-    if far_reading is not None:
-        return far_phase(probe) - phase_sign * far_reading
+    if request.far_phase is not None:
+        return far_phase(probe) - request.phase_sign * request.far_phase
     if not vendor.phase_known:
         raise ChannelError(
             f"the zero of the phase in {recording.path.name} is not known",
@@ -450,6 +305,31 @@ def _is_tapping(recording: Recording) -> bool:
         f"the file says {mode}, not AC mode: if its amplitude is no tapping amplitude, nothing here holds; no regime "
         "is decided",
         ChannelWarning,
+        stacklevel=2,
+    )
+    return False
+
+
+def _shares_drive(recording: Recording) -> bool:
+    """Warn where a lift pass has settings of its own for the drive, which the probe does not describe."""
+    facts = recording.facts
+    other = [
+        f"{format_quantity(facts[lift].value, facts[lift].unit, 6)} ({facts[lift].key}) instead of "
+        f"{format_quantity(facts[main].value, facts[main].unit, 6)}"
+        for lift, main in (
+            ("lift_drive_frequency", "drive_frequency"),
+            ("lift_drive_amplitude", "drive_amplitude"),
+        )
+        if lift in facts
+        and main in facts
+        and not math.isclose(facts[lift].value, facts[main].value, rel_tol=_SAME_SETTING)
+    ]
+    if not other:
+        return True
+    warnings.warn(
+        f"the file has a drive of its own for the lift pass, {' and '.join(other)}; whether it was in force is not "
+        "known, so the probe of the main pass may not be the one here; no regime is decided",
+        ResonanceWarning,
         stacklevel=2,
     )
     return False

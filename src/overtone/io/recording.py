@@ -76,17 +76,20 @@ class Recording:
     dims : tuple of str
         Dimensions of every channel: ``("y", "x")`` for a map, ``("point",)`` for a curve or a table.
     coords : mapping
-        Coordinate arrays in metres by dimension; absent where the file has none.
+        Coordinate arrays in metres by dimension; absent where the file has none. A curve over ``z`` may have
+        ``time`` [s] as well.
     channels : tuple of Channel
         In the order of the file.
     facts : mapping
         Facts by name: ``stiffness``, ``drive_frequency``, ``free_amplitude``, ``free_phase``,
         ``setpoint_amplitude``, ``tune_amplitude``, ``amplitude_sensitivity``,
-        ``second_lockin_frequency``, ``scale:<channel>``.
+        ``second_lockin_frequency``, ``scale:<channel>``; ``sampling_step`` [s] between the points of a
+        curve or a plain wave; of files with a lift pass ``lift_height``, ``lift_drive_frequency``,
+        ``lift_drive_amplitude`` and ``drive_amplitude`` [V].
     resonances : tuple of Resonance
         Every (frequency, quality factor) pair in the file.
     metadata : mapping
-        Raw header, key to text.
+        Raw header, key to text. ``zero of z`` says where z is zero in a netCDF file that knows.
     notes : tuple of str
         What the reader noticed, for a person to read.
     """

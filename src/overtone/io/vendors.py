@@ -8,7 +8,11 @@ from dataclasses import dataclass
 
 from overtone.io.recording import Channel, Recording
 
+LIFT = "lift_"
+"""Begins the names of overtone's own variables of a lift pass."""
+_NAP = "Nap"
 _SAME_FREQUENCY = 1e-6
+_FIRST_LOCK_IN = ("height", "A0", "A1", "phi1")
 
 
 @dataclass(frozen=True)
@@ -56,6 +60,12 @@ _VENDORS = (
             "phi1": ("Phase", "Phase1"),
             "A2": ("Amplitude2", "Amp2"),
             "phi2": ("Phase2", "Phas2"),
+        }
+        # Asylum has two lock-ins; what overtone writes as .ibw goes on in the same manner.
+        | {
+            name: (f"{long}{n}", f"{short}{n}")
+            for n in range(3, 10)
+            for name, long, short in ((f"A{n}", "Amplitude", "Amp"), (f"phi{n}", "Phase", "Phas"))
         },
         phase_known=True,
         phase_note="Asylum stores a phase lag, 90 deg at the resonance of the last tune",
@@ -92,20 +102,28 @@ def vendor_of(recording: Recording) -> Vendor:
     return _BY_KEY.get(recording.vendor, _UNKNOWN)
 
 
-def candidates(recording: Recording, observable: str) -> tuple[str, ...]:
+def candidates(recording: Recording, observable: str, *, lift: bool = False) -> tuple[str, ...]:
     """Return the channel names that may hold an observable, the preferred one first.
 
-    Every vendor's file may also name a channel by the observable itself. A second lock-in counts as the
-    second harmonic only where it listens at exactly twice the drive: in dual-tone modes it does not.
+    Every vendor's file may also name a channel by the observable itself. Lock-ins beyond the first count as
+    higher harmonics only where the second one listens at exactly twice the drive: in dual-tone modes it does not.
+    With ``lift`` they are the names that the same channels have in a Nap or Lift pass.
     """
     names = vendor_of(recording).aliases.get(observable, ())
-    if recording.vendor == "asylum" and observable in ("A2", "phi2"):
+    if recording.vendor == "asylum" and observable not in _FIRST_LOCK_IN:
         drive, second = (recording.facts.get(k) for k in ("drive_frequency", "second_lockin_frequency"))
         if drive is None or second is None or abs(second.value / drive.value - 2.0) > _SAME_FREQUENCY:
             names = ()
+    if lift:
+        return (LIFT + observable, *(f"{_NAP}{name}" for name in names))
     return (observable, *names) if _HARMONIC.fullmatch(observable) else names
 
 
 def main_channels(recording: Recording) -> tuple[Channel, ...]:
     """Return the channels of the main pass: Nap and Lift passes calibrate, they never mix with it."""
     return tuple(channel for channel in recording.channels if not channel.nap)
+
+
+def lift_channels(recording: Recording) -> tuple[Channel, ...]:
+    """Return the channels of the Nap or Lift pass, none where the file has no such pass."""
+    return tuple(channel for channel in recording.channels if channel.nap)

@@ -1,0 +1,243 @@
+"""What a calibration supports: a modulus, ratios to a reference, or contrast, and which number stands in the way.
+
+Three harmonics determine modulus, adhesion and indentation of a pixel; what an error of the instrument does to the
+modulus follows from the inverse of that map. A stiff sample multiplies it by hundreds, and no number of pixels
+helps. So the question is asked of the model before anything is believed: by how much does every unknown move ln E, and
+how large may it be?
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from overtone.contact.models import contact_model
+from overtone.contact.sample import OF_THE_PROBE, Sample, sample
+from overtone.dynamics.hold import hold_amplitude
+from overtone.dynamics.indented import indented_states
+from overtone.errors import CalibrationError
+from overtone.instrument.calibration import Calibration
+from overtone.instrument.shared import conservative, redo
+from overtone.instrument.signals import Signals, signals_of
+from overtone.instrument.unknowns import UNKNOWNS, probe_with, undo
+from overtone.units import format_quantity
+
+_Floats = npt.NDArray[np.float64]
+
+ABSOLUTE, RELATIVE, CONTRAST = "absolute", "relative", "contrast"
+GATE = 0.25
+"""Standard deviation of ln E that a modulus may have from shared errors and still be called one."""
+SOFTER = 20.0
+"""The second material of a table is the reference made softer by so much, as the soft phase of many a blend."""
+
+_STEP = 1e-3
+_MEANINGLESS = 2.0  # standard deviation of ln E beyond which linear errors say only "not determined"
+_UNITS = {unknown.name: unknown.unit for unknown in UNKNOWNS}
+
+
+@dataclass(frozen=True)
+class Gate:
+    """What a calibration supports for one material at one set-point.
+
+    Parameters
+    ----------
+    material : str
+        What it is called.
+    modulus : float
+        The modulus at which the question was asked [Pa].
+    setpoint : float
+        A1 / A1far.
+    sensitivity : mapping of str to float
+        d ln E per SI unit of each unknown of the calibration.
+    tolerance : mapping of str to float
+        How large an unknown may be alone [SI]: it then moves ln E by `GATE`.
+    absolute_error, relative_error : float
+        Standard deviation of ln E from all shared errors together, and the same once a reference of known modulus in
+        the scan has been used; NaN for the reference itself and without one.
+    verdict : str
+        ``absolute``, ``relative`` or ``contrast``.
+    reason : str
+        Why, in words.
+    """
+
+    material: str
+    modulus: float
+    setpoint: float
+    sensitivity: Mapping[str, float]
+    tolerance: Mapping[str, float]
+    absolute_error: float
+    relative_error: float
+    verdict: str
+    reason: str
+
+
+def gates(
+    calibration: Calibration,
+    *,
+    setpoint: float,
+    materials: Mapping[str, Sample] | None = None,
+    harmonics: Sequence[int] = (0, 1, 2),
+) -> tuple[Gate, ...]:
+    """Return what a calibration supports at a set-point, material by material.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        Of a probe with a tip radius, with gains.
+    setpoint : float
+        A1 / A1far, between 0 and 1.
+    materials : mapping of str to Sample, optional
+        Materials to ask for; the reference, and one that is softer by `SOFTER`, unless given.
+    harmonics : sequence of int
+        The three harmonics that are inverted.
+
+    Raises
+    ------
+    CalibrationError
+        If the calibration has no reference and no materials are given, or no repulsive state exists.
+
+    Notes
+    -----
+    To first order, at one pixel without noise: averaging pixels does nothing against shared errors. Where the answer
+    is beyond 1 its size means nothing but "not determined".
+    """
+    known = calibration.reference
+    if known is None and not materials:
+        raise CalibrationError("no material to ask for", expected="a calibration with a reference, or materials")
+    wanted: dict[str, Sample] = dict(materials or {})
+    reference_row: _Floats | None = None
+    if known is not None:
+        own = {name: value for name, (value, _) in known.properties.items()}
+        itself = sample(known.model, poisson_ratio=known.poisson_ratio, **own)
+        reference_row = _sensitivity(calibration, itself, setpoint, harmonics)
+        if not wanted:
+            soft = {**own, "modulus": own["modulus"] / SOFTER}
+            wanted = {
+                known.name: itself,
+                f"{SOFTER:g} times softer": sample(known.model, poisson_ratio=known.poisson_ratio, **soft),
+            }
+    result = []
+    for name, material in wanted.items():
+        is_reference = known is not None and name == known.name
+        row = reference_row if is_reference and reference_row is not None else _sensitivity(calibration, material, setpoint, harmonics)
+        relative = math.nan
+        if known is not None and reference_row is not None and not is_reference:
+            relative = _given_the_reference(calibration, row, reference_row, known.properties["modulus"][1])
+        result.append(_gate(calibration, name, material, setpoint, row, relative))
+    return tuple(result)
+
+
+def _sensitivity(
+    calibration: Calibration, material: Sample, setpoint: float, harmonics: Sequence[int]
+) -> _Floats:
+    """Return d ln E per unit of each unknown in the covariance.
+
+    Raises
+    ------
+    CalibrationError
+        If there is no repulsive state.
+    """
+    probe = probe_with(calibration.probe, calibration.values)
+    state = hold_amplitude(probe, material, setpoint=setpoint)
+    if not np.isfinite(float(state["A1"])):
+        raise CalibrationError(
+            "no repulsive state at this set-point",
+            got=f"A1/A1far = {setpoint:g} on {format_quantity(float(material.values['modulus']), 'Pa')}",
+            hint="a deeper set-point or a larger amplitude",
+        )
+    clean = signals_of(state[[str(n) for n in state.data_vars if str(n)[:1] in "Ap" and str(n)[-1].isdigit()]])
+    clean = Signals(
+        np.atleast_1d(clean.mean) if clean.mean is not None else None,
+        {n: np.atleast_1d(a) for n, a in clean.phasor.items()},
+    )
+    A, delta = float(state["A1"]), float(state["indentation"])
+    free = [q.name for q in material.model.parameters if q.name in ("modulus", "adhesion")]
+
+    def model(changes: Sequence[float]) -> _Floats:
+        values = {name: float(value) for name, value in material.values.items()}
+        for name, change in zip(free, changes, strict=False):
+            values[name] *= math.exp(change)
+        own = {q.name for q in contact_model(material.model.key).parameters} - set(OF_THE_PROBE)
+        there = sample(material.model.key, **{n: v for n, v in values.items() if n in own})
+        force = indented_states(probe, there, amplitude=[A], indentation=[delta * math.exp(changes[-1])]).force
+        return np.asarray(force[0, list(harmonics)].real)
+
+    unknowns = len(free) + 1
+    J = np.empty((len(harmonics), unknowns))
+    for k in range(unknowns):
+        step = np.zeros(unknowns)
+        step[k] = _STEP
+        J[:, k] = (model(step) - model(-step)) / (2.0 * _STEP)
+    to_modulus = np.linalg.pinv(J)[0]
+    read = redo(clean, calibration.values, calibration.amplitude)
+
+    def forces(values: Mapping[str, float]) -> _Floats:
+        signals = undo(read, values, calibration.amplitude)  # at the middle of the scan: no slopes
+        return conservative(signals, probe_with(calibration.probe, values), harmonics)[0]
+
+    row = []
+    for name in calibration.names:
+        step = 1e-2 * max(calibration.error(name), 1e-15)
+        up, down = ({**calibration.values, name: calibration.values[name] + s} for s in (step, -step))
+        change = to_modulus @ (forces(up) - forces(down)) / (2.0 * step)
+        # E* goes as 1/sqrt(R) at a given Lambda
+        row.append(float(change) - (0.5 / calibration.values["radius"] if name == "radius" else 0.0))
+    return np.array(row)
+
+
+def _given_the_reference(
+    calibration: Calibration, row: _Floats, reference: _Floats, reference_error: float
+) -> float:
+    """Return the error of ln E once a reference in the scan, of known modulus, has been inverted with the same errors."""
+    C = calibration.covariance
+    along = C @ reference
+    left = C - np.outer(along, along) / (float(reference @ along) + reference_error**2)
+    return math.sqrt(max(float(row @ left @ row), 0.0))
+
+
+def _gate(
+    calibration: Calibration, name: str, material: Sample, setpoint: float, row: _Floats, relative: float
+) -> Gate:
+    absolute = math.sqrt(max(float(row @ calibration.covariance @ row), 0.0))
+    verdict = ABSOLUTE if absolute <= GATE else RELATIVE if relative <= GATE else CONTRAST
+    share = {n: abs(float(r)) * calibration.error(n) for n, r in zip(calibration.names, row, strict=True)}
+    worst = sorted(share, key=lambda n: -share[n])[:3]
+    tolerance = {n: GATE / abs(float(r)) if r else math.inf for n, r in zip(calibration.names, row, strict=True)}
+    limits = ", ".join(
+        f"{n} is known to {_text(calibration.error(n), n)} where {_text(tolerance[n], n)} would do" for n in worst if share[n] > 0.5 * GATE
+    )
+    size = f"shared errors {_moved(absolute)}"
+    if verdict == ABSOLUTE:
+        reason = f"{size}, one standard deviation"
+    elif verdict == RELATIVE:
+        reason = f"{size}, and its ratio to the reference by a factor of {math.exp(relative):.3g}: {limits}"
+    else:
+        ratio = "" if math.isnan(relative) else f"; for its ratio to the reference they {_moved(relative, 'it')}"
+        reason = f"{size}{ratio}: {limits}"
+    return Gate(
+        name,
+        float(material.values["modulus"]),
+        setpoint,
+        dict(zip(calibration.names, map(float, row), strict=True)),
+        tolerance,
+        absolute,
+        relative,
+        verdict,
+        reason,
+    )
+
+
+def _moved(error: float, what: str = "its modulus") -> str:
+    """Say what an error of ln E means; far beyond 1 a factor means nothing."""
+    return f"move {what} by a factor of {math.exp(error):.3g}" if error < _MEANINGLESS else f"leave {what} open"
+
+
+def _text(value: float, name: str) -> str:
+    unit = _UNITS[name]
+    if unit != "1" or name.startswith("A0_slope"):
+        return format_quantity(value, unit, 2)
+    return f"{100.0 * value:.2g} %"
