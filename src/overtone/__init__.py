@@ -29,14 +29,29 @@ if TYPE_CHECKING:
     from overtone.instrument.calibration import save_calibration as save_calibration
     from overtone.instrument.correct import calibration_of as calibration_of
     from overtone.instrument.correct import correct as correct
+    from overtone.instrument.curve import simulate_approach as simulate_approach
+    from overtone.instrument.curve import simulate_far_field as simulate_far_field
     from overtone.instrument.demodulate import demodulate as demodulate
+    from overtone.instrument.gates import gates as gates
     from overtone.instrument.instrument import Instrument as Instrument
+    from overtone.instrument.noise import noise_from_pair as noise_from_pair
+    from overtone.instrument.photodiode import SplitDiode as SplitDiode
+    from overtone.instrument.scan import simulate_scan as simulate_scan
+    from overtone.instrument.sensitivity import static_sensitivity as static_sensitivity
+    from overtone.instrument.surface import lever_near_surface as lever_near_surface
+    from overtone.instrument.surface import resonance_from_ladder as resonance_from_ladder
     from overtone.instrument.thermal import fit_thermal as fit_thermal
+    from overtone.instrument.thermal import thermal_spectrum as thermal_spectrum
     from overtone.instrument.thermal_noise import thermal_noise_density as thermal_noise_density
+    from overtone.instrument.tip import tip_radius as tip_radius
+    from overtone.instrument.tip import tip_wear as tip_wear
+    from overtone.instrument.toml import load_instrument as load_instrument
+    from overtone.instrument.toml import save_instrument as save_instrument
     from overtone.inversion.properties import map_energy as map_energy
     from overtone.inversion.properties import map_properties as map_properties
     from overtone.inversion.reconstruction import reconstruct_force as reconstruct_force
     from overtone.io.curves import open_curve as open_curve
+    from overtone.io.ladder import open_ladder as open_ladder
     from overtone.io.netcdf import load as load
     from overtone.io.netcdf import save as save
     from overtone.io.observables import open_scan as open_scan
@@ -58,6 +73,7 @@ _HOME = {
     "Probe": "probe",
     "Reference": "instrument.approach_fit",
     "Sample": "contact.sample",
+    "SplitDiode": "instrument.photodiode",
     "approach_curve": "dynamics.curve",
     "beam_modes": "beam",
     "calibrate": "instrument.calibrate",
@@ -68,14 +84,19 @@ _HOME = {
     "force": "contact.evaluate",
     "force_harmonics": "contact.evaluate",
     "from_quadratures": "io.traces",
+    "gates": "instrument.gates",
     "hold_amplitude": "dynamics.hold",
+    "lever_near_surface": "instrument.surface",
     "load": "io.netcdf",
     "load_calibration": "instrument.calibration",
+    "load_instrument": "instrument.toml",
     "load_probe": "probe",
     "map_energy": "inversion.properties",
     "map_properties": "inversion.properties",
     "models": "contact.models",
+    "noise_from_pair": "instrument.noise",
     "open_curve": "io.curves",
+    "open_ladder": "io.ladder",
     "open_scan": "io.observables",
     "preset": "presets",
     "probe_of": "readings",
@@ -84,13 +105,22 @@ _HOME = {
     "read_spectrum": "io.spectrum",
     "read_trace": "io.traces",
     "reconstruct_force": "inversion.reconstruction",
+    "resonance_from_ladder": "instrument.surface",
     "sample": "contact.sample",
     "save": "io.netcdf",
     "save_calibration": "instrument.calibration",
+    "save_instrument": "instrument.toml",
     "save_probe": "probe",
+    "simulate_approach": "instrument.curve",
+    "simulate_far_field": "instrument.curve",
+    "simulate_scan": "instrument.scan",
+    "static_sensitivity": "instrument.sensitivity",
     "steady_states": "dynamics.steady",
     "tabor_parameter": "contact.validity",
     "thermal_noise_density": "instrument.thermal_noise",
+    "thermal_spectrum": "instrument.thermal",
+    "tip_radius": "instrument.tip",
+    "tip_wear": "instrument.tip",
     "to_force_harmonics": "harmonics",
     "to_observables": "harmonics",
 }

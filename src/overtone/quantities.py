@@ -75,8 +75,8 @@ _BY_NAME = {quantity.name: quantity for quantity in _QUANTITIES}
 _HARMONIC = re.compile(r"(A|phi)([1-9]\d*)")
 _VARIANTS = {
     "_unscreened": "every pixel the estimator finished",
-    "_lower": "lower end of the 90 % interval, noise only",
-    "_upper": "upper end of the 90 % interval, noise only",
+    "_lower": "lower end of the 90 % interval (noise; shared errors where the scan was calibrated)",
+    "_upper": "upper end of the 90 % interval (noise; shared errors where the scan was calibrated)",
 }
 
 

@@ -197,9 +197,7 @@ def test_noise_is_that_of_the_theory() -> None:
 
 
 def test_readings_scatter_by_the_noise() -> None:
-    read = readings(
-        motion((400, 400), A2=1e-10), Instrument(), PROBE, generator=np.random.default_rng(5)
-    )
+    read = readings(motion((400, 400), A2=1e-10), Instrument(), PROBE, generator=np.random.default_rng(5))
     sigma = noise_of(Instrument(), PROBE)
     assert float(read["A0"].std()) == pytest.approx(sigma["A0"], rel=0.01, abs=0)
     for n in (1, 2, 3):

@@ -47,7 +47,9 @@ def test_relief_and_tilt_are_those_asked_for() -> None:
     assert (steps == POLYOLEFIN.height).all()
     tilted = blend(shape=(40, 40), relief=0.0, tilt=0.01, seed=2)
     np.testing.assert_allclose(
-        (tilted["height"] - flat["height"]).values, np.broadcast_to(0.01 * flat["x"].values, (40, 40)), atol=1e-20
+        (tilted["height"] - flat["height"]).values,
+        np.broadcast_to(0.01 * flat["x"].values, (40, 40)),
+        atol=1e-20,
     )
     wavy = blend(shape=(40, 40), relief=5e-9, seed=2)
     assert float(abs(wavy["height"] - flat["height"]).max()) == pytest.approx(5e-9, rel=0.02, abs=0)
@@ -75,7 +77,9 @@ def test_arrays_become_a_map_with_places() -> None:
     material = material_of(surface, None, None)
     assert material.model.key == "dmt"
     np.testing.assert_array_equal(material.values["modulus"], modulus)
-    xr.testing.assert_identical(map_of(ot.sample("hertz", modulus=modulus, poisson_ratio=0.3), 2e-6)["x"], surface["x"])
+    xr.testing.assert_identical(
+        map_of(ot.sample("hertz", modulus=modulus, poisson_ratio=0.3), 2e-6)["x"], surface["x"]
+    )
 
 
 def test_a_viscosity_chooses_the_viscous_model() -> None:

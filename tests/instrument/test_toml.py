@@ -86,7 +86,7 @@ def test_units_are_those_of_the_text() -> None:
     assert found.frequency_drift == pytest.approx(0.1, rel=1e-14, abs=0)
     assert found.quality_drift == pytest.approx(0.001 / 60, rel=1e-14, abs=0)
     assert found.phase_offset == pytest.approx(-1.5707963267948966, rel=1e-14, abs=0)
-    assert found.distortion == {2: 2e4, 3: -5e11}
+    assert found.distortion == {2: pytest.approx(2e4, rel=1e-14), 3: pytest.approx(-5e11, rel=1e-14)}
     # a lag: the phasor points down
     assert found.crosstalk[2] == pytest.approx(-50e-12j, rel=1e-12, abs=1e-26)
 

@@ -165,6 +165,28 @@ def test_stack_and_curve_dimensions(tmp_path):
     assert any("metres were assumed" in note for note in scan.notes)
 
 
+@pytest.mark.parametrize(("unit", "factor"), [("s", 1.0), ("ms", 1e-3), ("", 1.0)])
+def test_time_is_a_dimension_in_seconds(tmp_path, unit, factor):
+    attributes = {"units": unit} if unit else {}
+    coords = {"time": ("time", [1.0, 2.0, 4.0], attributes)}
+    seen = xr.Dataset({"A1": ("time", np.ones(3), {"units": "m"})}, coords)
+    save(seen, tmp_path / "seen.nc")
+    scan = read_channels(tmp_path / "seen.nc")
+    assert scan.dims == ("time",)
+    np.testing.assert_allclose(scan.coords["time"], np.array([1.0, 2.0, 4.0]) * factor, rtol=1e-15)
+    assert any("seconds were assumed" in note for note in scan.notes) == (not unit)
+
+
+@pytest.mark.parametrize(("name", "unit", "kind"), [("time", "nm", "time"), ("z", "ms", "length")])
+def test_a_coordinate_of_another_kind_is_left_out(tmp_path, name, unit, kind):
+    seen = xr.Dataset({"A1": (name, np.ones(2), {"units": "m"})}, {name: (name, [0.0, 1.0], {"units": unit})})
+    save(seen, tmp_path / "seen.nc")
+    scan = read_channels(tmp_path / "seen.nc")
+    assert scan.dims == (name,)
+    assert not scan.coords
+    assert any(f"{unit!r} is no {kind}" in note for note in scan.notes)
+
+
 def test_other_hdf5_is_told_apart(tmp_path):
     import h5py
 

@@ -170,6 +170,29 @@ def test_a_saved_scan_opens_as_it_was(scan: xr.Dataset, tmp_path: Path) -> None:
     assert not reading.doubts
 
 
+def test_axes_keep_their_units(scan: xr.Dataset, tmp_path: Path) -> None:
+    """A series over time, as a trace is demodulated into, and set-points, which have no unit."""
+    series = (
+        scan.isel(y=0, drop=True).drop_vars("x").rename(x="time").assign_coords(time=np.arange(8) * 0.5e-3)
+    )
+    series["time"].attrs["units"] = "s"
+    save(series, tmp_path / "series.nc")
+    again = open_scan(tmp_path / "series.nc")
+    assert again["A1"].dims == ("time",)
+    np.testing.assert_array_equal(again["time"], series["time"])
+    assert again["time"].attrs == {"units": "s", "long_name": "time"}
+    np.testing.assert_array_equal(again["A2"], series["A2"])
+    steps = (
+        scan.isel(y=0, drop=True)
+        .drop_vars("x")
+        .rename(x="setpoint")
+        .assign_coords(setpoint=np.linspace(0.2, 0.9, 8))
+    )
+    save(steps, tmp_path / "steps.nc")
+    assert open_scan(tmp_path / "steps.nc")["setpoint"].attrs["units"] == "1"
+    assert open_scan(tmp_path / "steps.nc")["A1"].dims == ("setpoint",)
+
+
 def write_table(folder: Path, scan: xr.Dataset, header: str = "") -> Path:
     path = folder / "scan.csv"
     names = ["A0", "A1", "phi1", "A2", "phi2"]

@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from overtone._version import __version__
+from overtone.cli.calibrate import calibrate_curve
 from overtone.cli.demo import demo
 from overtone.cli.demodulate import demodulate
 from overtone.cli.inspect import inspect
@@ -18,6 +19,7 @@ from overtone.cli.map import map_scan
 from overtone.cli.models import models
 from overtone.cli.protocol import protocol
 from overtone.cli.simulate import simulate
+from overtone.cli.simulate_scan import scan as simulate_scan
 from overtone.cli.thermal import thermal
 from overtone.errors import OvertoneError, OvertoneWarning
 
@@ -29,7 +31,9 @@ app = App(
 app.command(demo)
 app.command(inspect)
 app.command(map_scan, name="map")
+app.command(calibrate_curve, name="calibrate")
 app.command(models)
+simulate.command(simulate_scan, name="scan")
 app.command(simulate)
 app.command(demodulate)
 app.command(protocol)

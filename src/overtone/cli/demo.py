@@ -12,14 +12,14 @@ from overtone.cli.progress import progress_bar
 
 
 def demo(*, output: Annotated[Path, Parameter(name=["--output", "-o"])] = Path("overtone-demo")) -> None:
-    """Simulate a scan of a PS-LDPE blend, map it, and hold the maps against the truth.
+    """Simulate a session at the microscope: calibrate, scan a PS-LDPE blend, correct, map, and compare with the truth.
 
-    Needs no input. The first run compiles the kernels, which takes some seconds.
+    Needs no input. The first run compiles the kernels, which takes half a minute.
 
     Parameters
     ----------
     output : Path
-        Folder for scan.nc, results.nc and report.html.
+        Folder for curve.nc, ladder.nc, calibration.toml, scan.nc, results.nc and report.html.
     """
     from overtone.demo import run_demo
     from overtone.report.terminal import print_report

@@ -111,8 +111,7 @@ def demodulate(
         )
     result = result.assign_attrs(source=file.name)
     with atomic_path(output) as temporary:
-        # a list of points is what open_scan knows; the time of each goes with it
-        save(result.swap_dims(time="point"), temporary)
+        save(result, temporary)
     console = Console(highlight=False)
     _print_summary(console, file, result)
     for sentence in provenance.findings(result):

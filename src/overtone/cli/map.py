@@ -25,6 +25,9 @@ def map_scan(
     harmonics: str | None = None,
     poisson_ratio: float | None = None,
     noise: Annotated[tuple[str, ...], Parameter(name="--noise")] = (),
+    calibration: Path | None = None,
+    reference_area: str | None = None,
+    lift: Annotated[bool, Parameter(negative=())] = False,
     scan: ScanOptions = ScanOptions(),  # noqa: B008 - a frozen record
 ) -> None:
     """Map a scan: force, energy, virial and regime always, mechanical properties where the data allow.
@@ -46,7 +49,15 @@ def map_scan(
     poisson_ratio : float
         Poisson's ratio of the sample; needed for a modulus, not assumed.
     noise : tuple
-        Standard deviation of an observable, for example A0="5 pm"; may be repeated.
+        Standard deviation of an observable, for example A0="5 pm"; may be repeated. Unless given, it is told from trace
+        and retrace where the file has both, and an ordinary one is assumed where it has not.
+    calibration : Path
+        Calibration of the instrument ("overtone calibrate"): the scan is corrected with it first.
+    reference_area : str
+        Where the reference material of the calibration is: "auto" (found by how it looks, the default), "none", or a
+        rectangle "x0, y0, x1, y1" with units, such as "0 um, 0 um, 2 um, 1 um".
+    lift : bool
+        Use the lift (Nap) pass of the file, recorded with the drive on, for drift, slopes and background.
     scan : ScanOptions
         How the file is to be read.
     """
@@ -64,7 +75,8 @@ def map_scan(
     _check_paths(file, output, report)
     _check_request(model, method, harmonics, poisson_ratio)
     sigma = parse_noise(noise)
-    observables = open_with(file, scan)
+    observables, before = _opened(file, scan, calibration, reference_area, lift)
+    observables, sigma = _with_noise_of_the_pair(file, scan, observables, sigma)
     energies = map_energy(observables, probe_of(observables), noise=sigma)
     with progress_bar() as update:
         result, label, remark = _properties(
@@ -108,6 +120,93 @@ def map_scan(
     for path in (output, report):
         if path is not None:
             console.print(f"wrote {path}", highlight=False, soft_wrap=True, markup=False)
+
+
+def _opened(
+    file: Path, scan: ScanOptions, calibration: Path | None, reference_area: str | None, lift: bool
+) -> tuple[Any, Any]:
+    """Return the scan, corrected where there is a calibration, and what it was before."""
+    if calibration is None:
+        for option, given in (("--reference-area", reference_area), ("--lift", lift)):
+            if given:
+                raise OvertoneError(
+                    f"{option} corrects a scan",
+                    expected="a calibration",
+                    hint="--calibration calibration.toml",
+                )
+        return open_with(file, scan), None
+    from overtone import provenance
+    from overtone.errors import CalibrationError
+    from overtone.instrument.calibration import load_calibration
+    from overtone.instrument.correct import calibration_of, correct
+    from overtone.instrument.gates import gates
+
+    record = load_calibration(calibration)
+    before = open_with(file, scan, probe=record.probe)
+    nap = open_with(file, scan, probe=record.probe, lift=True) if lift else None
+    after = correct(before, record, reference=_area(reference_area), lift=nap)
+    left = calibration_of(after)
+    if left is None or left.reference is None:
+        return after, before
+    setpoint = float(after["A1"].mean()) / left.probe.drive.free_amplitude
+    try:
+        verdicts = [
+            f"{gate.material}: {gate.verdict}; {gate.reason}" for gate in gates(left, setpoint=setpoint)
+        ]
+    except CalibrationError as error:
+        verdicts = [f"what the calibration supports cannot be told: {error}"]
+    return provenance.add_finding(
+        after, *(f"Supported by the calibration, {verdict}." for verdict in verdicts)
+    ), before
+
+
+def _area(text: str | None) -> Any:
+    """Return the reference area of a text: auto, None, or a rectangle [m]."""
+    from overtone.units import parse_quantity
+
+    if text is None or text == "auto":
+        return "auto"
+    if text == "none":
+        return None
+    parts = text.split(",")
+    if len(parts) != 4:
+        raise OvertoneError(
+            "--reference-area is not understood",
+            expected='"auto", "none" or "x0, y0, x1, y1" with units',
+            got=repr(text),
+        )
+    return tuple(parse_quantity(part, "m", "--reference-area") for part in parts)
+
+
+def _with_noise_of_the_pair(
+    file: Path, scan: ScanOptions, observables: Any, stated: dict[str, float]
+) -> tuple[Any, dict[str, float]]:
+    """Return the scan and its noise: as stated, or from trace and retrace where the file holds both."""
+    from dataclasses import replace
+
+    from overtone import provenance
+    from overtone.instrument.noise import noise_from_pair
+    from overtone.readings import probe_of
+
+    other = {"trace": "retrace", "retrace": "trace"}.get(scan.direction or "")
+    if stated or other is None:
+        return observables, stated
+    try:
+        pair = [
+            open_with(file, replace(scan, direction=way), probe=probe_of(observables))
+            for way in (scan.direction, other)
+        ]
+        noise = noise_from_pair(*pair)
+    except OvertoneError:  # the other way was not recorded, or not with the same channels
+        return observables, stated
+    from overtone.quantities import quantity
+    from overtone.units import format_quantity
+
+    texts = (
+        f"{name} {format_quantity(value, getattr(quantity(name), 'unit', '1'))}"
+        for name, value in noise.items()
+    )
+    return provenance.add_finding(observables, f"Noise, from trace and retrace: {', '.join(texts)}."), noise
 
 
 def _check_paths(file: Path, output: Path, report: Path | None) -> None:

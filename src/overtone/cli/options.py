@@ -193,35 +193,49 @@ def parse_pairs(texts: Sequence[str], option: str) -> dict[str, str]:
     return pairs
 
 
-def open_with(path: Path, options: ScanOptions) -> Any:
-    """Open a scan as the options say and return its observables, the tip radius set."""
-    from dataclasses import replace
-
-    from overtone.io.observables import open_scan
+def reading_arguments(options: ScanOptions) -> dict[str, Any]:
+    """Return what the options say of reading a file, as the arguments of `open_scan` and `open_curve`."""
     from overtone.probe import load_probe
-    from overtone.readings import reading_of, with_reading
 
-    channels = parse_pairs(options.channel, "--channel")
     scales = {}
     for name, text in parse_pairs(options.scale, "--scale").items():
         match = text.rsplit(maxsplit=1)[-1]
         unit = "rad" if match in ("deg", "rad", "mrad", "°") else "m"
         scales[name] = parse_quantity(text, unit, f"--scale {name}")
-    observables = open_scan(
-        path,
-        probe=load_probe(options.probe) if options.probe else None,
-        channels=channels,
-        scales=scales,
-        far_phase=parse_quantity(options.far_phase, "rad", "--far-phase") if options.far_phase else None,
-        phase_sign=options.phase_sign,
-        direction=options.direction,
-        corrected=options.corrected,
-    )
+    return {
+        "probe": load_probe(options.probe) if options.probe else None,
+        "channels": parse_pairs(options.channel, "--channel"),
+        "scales": scales,
+        "far_phase": parse_quantity(options.far_phase, "rad", "--far-phase") if options.far_phase else None,
+        "phase_sign": options.phase_sign,
+        "corrected": options.corrected,
+    }
+
+
+def open_with(path: Path, options: ScanOptions, *, probe: Any = None, lift: bool = False) -> Any:
+    """Open a scan as the options say and return its observables, the tip radius set.
+
+    ``probe`` stands in where the options name none.
+    """
+    from overtone.io.observables import open_scan
+
+    arguments = reading_arguments(options)
+    arguments["probe"] = arguments["probe"] or probe
+    observables = open_scan(path, direction=options.direction, lift=lift, **arguments)
+    return with_radius(observables, options.radius)
+
+
+def with_radius(observables: Any, text: str | None) -> Any:
+    """Return observables whose probe has the tip radius of a text such as "10 nm"."""
+    from dataclasses import replace
+
+    from overtone.readings import reading_of, with_reading
+
     reading = reading_of(observables)
-    if options.radius and reading is not None:
-        tip = replace(reading.probe.tip, radius=parse_quantity(options.radius, "m", "--radius"))
-        observables = with_reading(observables, replace(reading, probe=replace(reading.probe, tip=tip)))
-    return observables
+    if not text or reading is None:
+        return observables
+    tip = replace(reading.probe.tip, radius=parse_quantity(text, "m", "--radius"))
+    return with_reading(observables, replace(reading, probe=replace(reading.probe, tip=tip)))
 
 
 def parse_noise(texts: Sequence[str]) -> dict[str, float]:

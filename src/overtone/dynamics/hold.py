@@ -174,7 +174,8 @@ def hold_amplitude(
         A material of any model that can be simulated, or arrays of materials.
     setpoint : float, array (setpoint,) or DataArray
         A1 / A1far, between 0 and 1. An array adds a first dimension ``setpoint``; a DataArray over the dimensions
-        of the sample gives each point its own, as a feedback loop with an error does.
+        of the sample (named by ``dims``) gives each point its own, as a feedback loop with an error does, and its
+        coordinates.
     regime : str
         ``repulsive`` takes the state of largest indentation, ``attractive`` the outermost one.
     n_max : int
@@ -197,7 +198,7 @@ def hold_amplitude(
     Raises
     ------
     OvertoneError
-        If a set-point is not between 0 and 1, or n_max or keep are out of range.
+        If a set-point is not between 0 and 1, set-points do not fit the sample, or n_max or keep are out of range.
     ContactModelError
         If the model's force cannot be followed (a relaxing solid).
     ProbeError
@@ -208,21 +209,26 @@ def hold_amplitude(
     Whether a feedback loop can stay in the state is not asked: see `steady_states` for all states at a height
     and their stability.
     """
+    names = sample_dims(sample.shape, dims)
+    each = isinstance(setpoint, xr.DataArray) and bool(names) and set(setpoint.dims) == set(names)
+    if each:
+        setpoint = setpoint.transpose(*names)
     try:
         setpoints = np.atleast_1d(np.asarray(setpoint, dtype=float))
     except (TypeError, ValueError) as error:
         raise OvertoneError(
             "the set-point is not a number", expected="A1/A1far", got=repr(setpoint)
         ) from error
-    names = sample_dims(sample.shape, dims)
-    each = isinstance(setpoint, xr.DataArray) and bool(names) and setpoint.dims == names
-    if each and setpoints.shape != sample.shape:
+    if setpoints.shape != sample.shape if each else setpoints.ndim != 1:
         raise OvertoneError(
-            "set-points and sample do not fit", expected=str(sample.shape), got=str(setpoints.shape)
+            "set-points and sample do not fit",
+            expected="a number, an array of one dimension, or a DataArray over "
+            f"{dict(zip(names, sample.shape, strict=True))}",
+            got=str(dict(setpoint.sizes) if isinstance(setpoint, xr.DataArray) else setpoints.shape),
         )
     usable = (setpoints > 0.0) & (setpoints < 1.0)
-    if (setpoints.ndim != 1 and not each) or setpoints.size == 0 or not usable.all():
-        bad = setpoints[~usable] if setpoints.ndim == 1 or each else setpoints
+    if setpoints.size == 0 or not usable.all():
+        bad = setpoints[~usable]
         raise OvertoneError(
             "the set-point is out of reach",
             expected="0 < A1/A1far < 1",
@@ -246,7 +252,8 @@ def hold_amplitude(
 
     run_blocks(block, read.size, _BLOCK if n_max > 1 else 64 * _BLOCK, progress)
     if each:
-        result = states_dataset(device, states.reshaped(sample.shape), names, {}, keep)
+        own = {str(name): c for name, c in setpoint.coords.items() if c.dims and set(c.dims) <= set(names)}
+        result = states_dataset(device, states.reshaped(sample.shape), names, own, keep)
     else:
         coords = {"setpoint": ("setpoint", setpoints, {"units": "1", "long_name": "A1 / A1far"})}
         wide = states.reshaped((setpoints.size, *sample.shape))

@@ -14,13 +14,24 @@ import numpy as np
 import numpy.typing as npt
 
 from overtone.contact.sample import Sample
-from overtone.dynamics.balance import EXTRAS, FOUND, NOT_CONVERGED, Motion, Sums, bottom, force_on_motion, gap_at
+from overtone.dynamics.balance import (
+    EXTRAS,
+    FOUND,
+    NOT_CONVERGED,
+    Motion,
+    Sums,
+    bottom,
+    force_on_motion,
+    gap_at,
+)
 from overtone.dynamics.system import Laws, law_at, laws, setup
 from overtone.kernels import kernel
 from overtone.probe import Probe
 
 _ITERATIONS = 60
 _TOLERANCE = 1e-10  # of the amplitude
+_PASSES = 30
+_SEEN = 1e-10  # of the amplitude that is read
 
 _Floats = npt.NDArray[np.float64]
 _Complex = npt.NDArray[np.complex128]
@@ -32,7 +43,7 @@ class Indented(NamedTuple):
     force: _Complex
     """(point, harmonic): CONS_n - i DISS_n, counted from the phase of the first harmonic as it is read [N]."""
     reading: _Complex
-    """(point, harmonic): what the detector reads of harmonics 0, 2, 3, ... in that frame [m]; 1 is the amplitude."""
+    """(point, harmonic): what the detector reads in that frame [m]; of the first harmonic, the amplitude."""
     height: _Floats
     """(point,): Z of the base [m]."""
     drive: _Complex
@@ -108,22 +119,31 @@ def indented_states(
 
     Notes
     -----
-    The motion of the tip differs from what an optical lever of several modes reads of it; that correction uses the
-    drive which the state needs, and converges in two passes.
+    Under a drive that shakes the base, what is read differs from the motion of the tip by a share of the drive that
+    the state needs. The amplitude of the tip follows from that by substitution: a pass or two at a high quality
+    factor, more at a low one.
     """
     device, records = setup(probe, n_max), laws(probe, sample)
-    A1, delta = (np.ascontiguousarray(v, dtype=float).ravel() for v in np.broadcast_arrays(amplitude, indentation))
+    A1, delta = (
+        np.ascontiguousarray(v, dtype=float).ravel() for v in np.broadcast_arrays(amplitude, indentation)
+    )
     lever, read = device.lever, device.receptance.read
     one = records.table.shape[0] == 1
     f = np.zeros((A1.size, n_max + 1), complex)
     mean, status = np.full(A1.size, math.nan), np.zeros(A1.size, np.int8)
     tip_amplitude = A1 / abs(lever.reading[0])
-    for _ in range(1 if lever.reading[1] == 0.0 else 3):
+    for _ in range(_PASSES):
         indented_block(tip_amplitude, -delta, lever.tip, lever.omega, records, one, f, mean, status)
         needed = tip_amplitude / lever.tip[1] - f[:, 1]
-        direction = needed / np.abs(needed)
-        seen = lever.reading[0] * tip_amplitude + lever.reading[1] * direction
-        tip_amplitude = tip_amplitude * A1 / np.abs(seen)
+        seen = lever.reading[0] * tip_amplitude + lever.reading[1] * needed / lever.force
+        off = A1 / np.abs(seen)
+        if not (np.abs(off - 1.0) > _SEEN).any():
+            break
+        tip_amplitude = tip_amplitude * off
+    else:
+        status[np.abs(off - 1.0) > _SEEN] = NOT_CONVERGED
     turn = np.exp(-1j * np.angle(seen)[:, None] * np.arange(n_max + 1))
     force = f * turn
-    return Indented(force, read * force, mean - lever.tip[0].real * f[:, 0].real, needed * turn[:, 1], status)
+    reading = read * force
+    reading[:, 1] = A1
+    return Indented(force, reading, mean - lever.tip[0].real * f[:, 0].real, needed * turn[:, 1], status)

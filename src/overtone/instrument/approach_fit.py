@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +20,7 @@ from overtone.contact.models import contact_model
 from overtone.contact.sample import OF_THE_PROBE, Sample, sample
 from overtone.dynamics.balance import FOUND
 from overtone.dynamics.indented import indented_states
+from overtone.errors import CalibrationError
 from overtone.harmonics import far_phase, read_receptance
 from overtone.instrument.signals import Signals, in_the_frame_of_the_first
 from overtone.instrument.unknowns import HIGHER, LEVER, probe_with, undo
@@ -29,7 +30,12 @@ _Floats = npt.NDArray[np.float64]
 _Complex = npt.NDArray[np.complex128]
 
 _STEP = 1e-4  # of a prior's width, for differences
+_FARTHEST = 5.0  # of the logarithm of a factor
 _N_MAX = 6  # A2 to 1e-4, far below any noise
+_NANO = 1e-9
+# deep ones count by their logarithm: along E the valley is then straight, delta as E^(-2/3)
+_DEPTH = 0.05e-9
+_STEPS, _SETTLED = 100, 2e-5  # of a sum of squares of about the number of data
 _LOST = 1e6  # residual of a state that does not converge
 
 
@@ -74,13 +80,13 @@ class Curve:
         As read (point,).
     height : array (point,)
         Z [m] up to a constant.
-    noise : mapping
+    noise : mapping of str to float or array (point,)
         Standard deviations of ``A0``, ``A1``, ``phi1``, ``A2``, ... [m, rad] and of ``height`` [m].
     """
 
     signals: Signals
     height: _Floats
-    noise: Mapping[str, float]
+    noise: Mapping[str, float | _Floats]
 
 
 @dataclass(frozen=True)
@@ -103,6 +109,8 @@ class Fit:
         What the fit says was there: ``A0`` and, in the frame of the first harmonic, ``e2``, ``e3`` [m], ``CONS_1`` [N].
     zero : float
         What the heights are off: Z = height - zero [m].
+    converged : bool
+        Whether the search ended by itself.
     """
 
     names: tuple[str, ...]
@@ -114,10 +122,39 @@ class Fit:
     freedom: int
     predicted: Mapping[str, npt.NDArray[Any]]
     zero: float
+    converged: bool
 
 
-_BROAD = {"modulus": (1e9, math.log(20.0)), "adhesion": (5e-9, math.log(5.0)), "viscosity": (10.0, math.log(20.0))}
-_STARTS = {"modulus": (0.0, 0.8, -0.8), "adhesion": (0.0, -1.0, 1.0), "viscosity": (0.0,)}  # in widths of the prior
+class _Scale(NamedTuple):
+    """How a property of the reference is searched: by its logarithm, or evenly above a size and so below it."""
+
+    mean: float
+    """Of the prior, in what is searched."""
+    width: float
+    size: float | None = None
+    """Softplus of this size [SI] in place of an exponential."""
+
+    def value(self, p: float) -> float:
+        """Return the property [SI] at p prior widths from the prior's mean."""
+        x = self.mean + self.width * p
+        if self.size is None:
+            return math.exp(min(max(x, -60.0), 60.0))
+        return self.size * (math.log1p(math.exp(-abs(x))) + max(x, 0.0)) + _LEAST_PROPERTY
+
+    def at(self, value: float) -> float:
+        """Return where a property [SI] lies, in prior widths from the prior's mean."""
+        x = math.log(value) if self.size is None else math.log(math.expm1(min(value / self.size, 500.0)))
+        return (x - self.mean) / self.width
+
+
+# an adhesion too small to be seen must not pull at the modulus: even, its posterior is nearly normal down to nothing
+_BROAD = {
+    "modulus": _Scale(math.log(1e9), math.log(20.0)),
+    "adhesion": _Scale(0.0, 20.0, 2e-9),
+    "viscosity": _Scale(math.log(10.0), math.log(20.0)),
+}
+_STARTS = {"modulus": (1e9, 1e10, 1e8), "adhesion": (5e-9, 1e-9, 25e-9), "viscosity": (10.0,)}
+_LEAST_PROPERTY = 1e-15
 
 
 class _Problem:
@@ -137,41 +174,58 @@ class _Problem:
     ) -> None:
         self.curve, self.probe, self.reference, self.amplitude = curve, probe, reference, amplitude
         self.names, self.mean, self.neutral, self.centre = tuple(names), mean, dict(neutral), centre_height
+        self.positive = np.array([name in LEVER or name.startswith("gain") for name in names])
         self.root = np.linalg.cholesky(covariance + 1e-18 * np.diag(np.diag(covariance)))
         record = contact_model(reference.model)
         own = [q for q in record.parameters if q.name not in OF_THE_PROBE and q.default is None]
         self.properties = [q.name for q in own if q.name != "poisson_ratio"]
+        strangers = [name for name in self.properties if name not in _BROAD]
+        if strangers or not self.properties:
+            raise CalibrationError(
+                f"model {reference.model!r} is not for references",
+                expected="one whose unknowns are " + ", ".join(_BROAD),
+                got=" and ".join(strangers) or "none",
+                hint="dmt, or dmt-viscous",
+            )
         self.viscous = "viscosity" in self.properties
-        self.material_mean, self.material_width = (np.array(v) for v in zip(*map(self._prior, self.properties), strict=True))
+        self.scales = [self._prior(name) for name in self.properties]
         self.points = curve.height.size
         self.orders = [n for n in HIGHER if n in curve.signals.phasor]
-        # parameters: instrument and lever, material, zero of the height, indentations
+        # parameters: instrument and lever, material, zero of the height [nm], indentations over _DEPTH by asinh
         self.at_material = len(names)
         self.at_zero = self.at_material + len(self.properties)
         self.at_depth = self.at_zero + 1
-        self.unit = 1e-9
         self.model_names = [i for i, name in enumerate(names) if name in LEVER]
 
-    def _prior(self, name: str) -> tuple[float, float]:
+    def _prior(self, name: str) -> _Scale:
         known = getattr(self.reference, name, None)
         if known is not None:
-            return math.log(known), float(getattr(self.reference, f"{name}_error"))
-        middle, width = _BROAD[name]
-        return math.log(middle), width
+            return _Scale(math.log(known), float(getattr(self.reference, f"{name}_error")))
+        return _BROAD[name]
 
     def unpack(self, p: _Floats) -> tuple[dict[str, float], _Floats, float, _Floats]:
         theta = self.mean + self.root @ p[: self.at_material]
+        # factors stay positive, however far a step goes
+        growth = np.clip((theta - self.mean) / np.where(self.positive, self.mean, 1.0), -_FARTHEST, _FARTHEST)
+        theta = np.where(self.positive, self.mean * np.exp(growth), theta)
         values = {**self.neutral, **dict(zip(self.names, map(float, theta), strict=True))}
-        material = self.material_mean + self.material_width * p[self.at_material : self.at_zero]
-        return values, material, float(p[self.at_zero]) * self.unit, p[self.at_depth :] * self.unit
+        material = self.material(p[self.at_material : self.at_zero])
+        return values, material, float(p[self.at_zero]) * _NANO, _DEPTH * np.sinh(p[self.at_depth :])
+
+    def material(self, p: _Floats) -> _Floats:
+        return np.array([scale.value(float(x)) for scale, x in zip(self.scales, p, strict=True)])
 
     def sample(self, material: _Floats) -> Sample:
-        values = dict(zip(self.properties, np.exp(np.clip(material, -60.0, 60.0)), strict=True))
+        values = dict(zip(self.properties, map(float, material), strict=True))
         return sample(self.reference.model, poisson_ratio=self.reference.poisson_ratio, **values)
 
-    def predict(self, values: Mapping[str, float], material: _Floats, depth: _Floats, amplitude: _Floats) -> Any:
+    def predict(
+        self, values: Mapping[str, float], material: _Floats, depth: _Floats, amplitude: _Floats
+    ) -> Any:
         probe = probe_with(self.probe, values)
-        return indented_states(probe, self.sample(material), amplitude=amplitude, indentation=depth, n_max=_N_MAX)
+        return indented_states(
+            probe, self.sample(material), amplitude=amplitude, indentation=depth, n_max=_N_MAX
+        )
 
     def observed(self, values: Mapping[str, float]) -> tuple[Signals, _Complex, _Floats]:
         """Return corrected signals, the force of the first harmonic and its error."""
@@ -224,7 +278,7 @@ class _Problem:
             there = None if needs_model else model
             J[:, j] = (self.residuals(moved, there) - here) / _STEP
         # each indentation moves its own point only: one evaluation serves all
-        step = 1e-4 * np.maximum(np.abs(p[self.at_depth :]), 0.01)
+        step = np.full(self.points, _STEP)
         moved = p.copy()
         moved[self.at_depth :] += step
         change = self.residuals(moved) - here
@@ -270,6 +324,16 @@ def fit_approach(
     -------
     Fit
         The best of several starts.
+
+    Raises
+    ------
+    CalibrationError
+        If the contact model has unknowns that no approach curve of a reference tells.
+
+    Notes
+    -----
+    To first order about the best fit. A property that was not stated has a prior that hardly counts: a modulus of 1 GPa
+    within a factor of 20, an adhesion evenly up to tens of nanonewtons.
     """
     from scipy.optimize import least_squares
 
@@ -281,29 +345,47 @@ def fit_approach(
         if best is None or trial.cost < best.cost:
             best = trial
     result = least_squares(
-        problem.residuals, best.x, jac=problem.jacobian, method="lm", max_nfev=60, xtol=1e-8, ftol=1e-8
+        problem.residuals,
+        best.x,
+        jac=problem.jacobian,
+        method="lm",
+        max_nfev=_STEPS,
+        xtol=1e-6,
+        ftol=_SETTLED,
     )
     p = result.x
     J = problem.jacobian(p)
     inverse = np.linalg.pinv(J.T @ J, hermitian=True)
     values, material, zero, depth = problem.unpack(p)
     own = problem.root @ inverse[: problem.at_material, : problem.at_material] @ problem.root.T
-    spread = problem.material_width * np.sqrt(np.diag(inverse)[problem.at_material : problem.at_zero])
+    fitted = np.array([values[name] for name in problem.names])
+    stretch = np.where(problem.positive, fitted / np.where(problem.positive, problem.mean, 1.0), 1.0)
+    own = own * np.outer(stretch, stretch)
+    at = slice(problem.at_material, problem.at_zero)
+    spread = np.log(problem.material(p[at] + _STEP) / material) / _STEP * np.sqrt(np.diag(inverse)[at])
     signals, _, _ = problem.observed(values)
     model = problem.predict(values, material, depth, np.abs(signals.phasor[1]))
     data = problem.residuals(p)[: -problem.at_zero]
-    predicted = {"A0": model.reading[:, 0].real, "CONS_1": model.force[:, 1].real, "A1": np.abs(signals.phasor[1])}
+    predicted = {
+        "A0": model.reading[:, 0].real,
+        "CONS_1": model.force[:, 1].real,
+        "A1": np.abs(signals.phasor[1]),
+    }
     predicted |= {f"e{n}": model.reading[:, n] for n in problem.orders}
     return Fit(
         problem.names,
-        np.array([values[name] for name in problem.names]),
+        fitted,
         own,
-        {name: (float(m), float(s)) for name, m, s in zip(problem.properties, material, spread, strict=True)},
+        {
+            name: (float(m), float(s))
+            for name, m, s in zip(problem.properties, np.log(material), spread, strict=True)
+        },
         depth,
         float(data @ data),
         data.size - problem.points - len(problem.properties) - 1,
         predicted,
         zero,
+        bool(result.success),
     )
 
 
@@ -313,17 +395,20 @@ def _starts(problem: _Problem) -> list[_Floats]:
     signals, force, _ = problem.observed(values)
     amplitude = np.abs(signals.phasor[1])
     starts = []
-    grids = [_STARTS.get(name, (0.0,)) for name in problem.properties]
-    known = [problem.material_width[i] < 0.5 for i in range(len(problem.properties))]
-    axes = [(0.0,) if sure else grid for sure, grid in zip(known, grids, strict=True)]
+    axes = [
+        (0.0,)
+        if getattr(problem.reference, name, None) is not None
+        else [scale.at(value) for value in _STARTS[name]]
+        for name, scale in zip(problem.properties, problem.scales, strict=True)
+    ]
     for shifts in np.array(np.meshgrid(*axes, indexing="ij")).reshape(len(axes), -1).T:
         p = np.zeros(problem.at_depth + problem.points)
         p[problem.at_material : problem.at_zero] = shifts
         _, material, _, _ = problem.unpack(p)
         depth = _indentations(problem, values, material, amplitude, force.real)
-        p[problem.at_depth :] = depth / problem.unit
+        p[problem.at_depth :] = np.arcsinh(depth / _DEPTH)
         model = problem.predict(values, material, depth, amplitude)
-        p[problem.at_zero] = float(np.median(problem.curve.height - model.height)) / problem.unit
+        p[problem.at_zero] = float(np.median(problem.curve.height - model.height)) / _NANO
         starts.append(p)
     return starts
 

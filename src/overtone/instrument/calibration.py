@@ -16,7 +16,7 @@ import tomli_w
 
 from overtone._version import __version__
 from overtone.errors import CalibrationError, OvertoneError
-from overtone.instrument.unknowns import NAMES, NEUTRAL, UNKNOWNS
+from overtone.instrument.unknowns import HIGHER, LEVER, NAMES, NEUTRAL, UNKNOWNS
 from overtone.io.atomic import atomic_path
 from overtone.probe import Probe, format_probe, parse_probe
 from overtone.units import display_unit, format_quantity, parse_quantity
@@ -127,7 +127,9 @@ def load_calibration(path: str | Path) -> Calibration:
     try:
         text = source.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise CalibrationError(f"cannot read the calibration {source}", got=str(error), hint="check the path") from error
+        raise CalibrationError(
+            f"cannot read the calibration {source}", got=str(error), hint="check the path"
+        ) from error
     return parse_calibration(text, source.name)
 
 
@@ -262,17 +264,53 @@ def _record(table: Mapping[str, Any]) -> Calibration:
 
 
 def summary_rows(calibration: Calibration) -> list[tuple[str, str, str]]:
-    """Return name, value and error of every unknown that says something, for tables."""
-    rows = []
-    for unknown in UNKNOWNS:
-        value, error = calibration.values[unknown.name], calibration.error(unknown.name)
-        if value != NEUTRAL[unknown.name] or error > 0.0:
-            unit = unknown.unit
-            rows.append((unknown.name, format_quantity(value, unit, 4), format_quantity(error, unit, 2)))
+    """Return name, value and standard error of what was learnt, for people: phasors as amplitude and phase.
+
+    Higher powers of a distortion, and unknowns that are as they were assumed, are left to the file.
+    """
+    c = calibration
+    rows: list[tuple[str, str, str]] = []
+
+    def scalar(name: str, label: str) -> None:
+        error = c.error(name)
+        if error > 0.0 or c.values[name] != NEUTRAL[name]:
+            relative = _UNIT[name] == "1" and not name.startswith("A0_slope")
+            value = (
+                f"{c.values[name]:.4g}"
+                if _UNIT[name] == "1"
+                else format_quantity(c.values[name], _UNIT[name], 4)
+            )
+            spread = f"{100.0 * error:.2g} %" if relative else format_quantity(error, _UNIT[name], 3)
+            rows.append((label, value, spread if _UNIT[name] != "1" or relative else f"{error:.2g}"))
+
+    def phasor(prefix: str, label: str) -> None:
+        value = complex(c.values[f"{prefix}_re"], c.values[f"{prefix}_im"])
+        error = math.hypot(c.error(f"{prefix}_re"), c.error(f"{prefix}_im")) / math.sqrt(2.0)
+        if value != 0.0 or error > 0.0:
+            text = f"{format_quantity(abs(value), 'm', 3)} at {math.degrees(math.atan2(value.imag, value.real)):.0f} deg"
+            rows.append((label, text, format_quantity(error, "m", 3)))
+
+    scalar("phi1_offset", "phi1: zero")
+    scalar("A0_offset", "A0: zero")
+    for axis in "zxy":
+        scalar(f"A0_slope_{axis}", f"A0: slope along {axis}")
+    scalar("distortion0_0", "A0: added by the detector at A_ref")
+    scalar("gain0", "A0: gain")
+    scalar("compression", "A1: lost in the detector at A_ref")
+    for n in HIGHER:
+        phasor(f"distortion{n}_0", f"A{n}: added by the detector at A_ref")
+        phasor(f"crosstalk{n}", f"A{n}: crosstalk")
+        if f"gain{n}" in c.names:
+            scalar(f"gain{n}", f"A{n}: gain")
+            scalar(f"latency{n}", f"A{n}: latency")
+    for name in LEVER:
+        scalar(name, f"{name.replace('_', ' ')}, over that of the probe")
     return rows
 
 
-def joint(names: Sequence[str], blocks: Mapping[str, float], covariance: _Floats) -> tuple[tuple[str, ...], _Floats]:
+def joint(
+    names: Sequence[str], blocks: Mapping[str, float], covariance: _Floats
+) -> tuple[tuple[str, ...], _Floats]:
     """Return a covariance with further, independent unknowns (name to standard deviation) behind the others."""
     more = [name for name in blocks if name not in names]
     size = len(names) + len(more)

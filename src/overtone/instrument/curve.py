@@ -27,7 +27,7 @@ from overtone.units import format_quantity
 _Floats = npt.NDArray[np.float64]
 
 _POINTS, _WIDTHS = 15, 1.5  # of a ladder: frequencies, and linewidths to each side of the resonance
-_FAINT = 1e-3  # of the drive force: a first harmonic below it leaves the motion that of a free lever
+_FAINT = 1e-4  # of the drive force: a first harmonic below it leaves the motion that of a free lever
 _SEEN = (2, 3)
 
 

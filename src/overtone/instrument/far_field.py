@@ -33,12 +33,16 @@ PRIORS: Mapping[str, float] = {
     "crosstalk": 0.1e-9,
     "compression": 0.01,
 }
-"""Standard deviations before any far-field data [SI]: ``distortion`` of what the detector adds to a harmonic at the free
-amplitude (each quadrature), of higher powers a third and a tenth of it; ``compression`` where no third harmonic tells."""
+"""Standard deviations before any far-field data [SI]: ``distortion`` of what the detector adds to a harmonic at the
+free amplitude (each quadrature), of higher powers a third and a tenth of it; ``compression`` where no third harmonic
+tells."""
 _POWERS = (1.0, 0.3, 0.1)
 _OPEN = 0.3  # of a prior's width: wider, and the data have not decided
 _FEWEST = 3
 _LEAST_NOISE = 1e-15  # [m], of data without any
+_ELECTRONICS = 0.4  # of a term of the detector: what gain and latency, not known yet, make of it
+_ALIKE = 0.2  # of the free amplitude: amplitudes that differ by less are one
+_FAR_OFF = 0.2  # of the prior of a distortion
 _MODEL = 0.15  # of the compression: the gain of the third harmonic, from which it is told, is not known yet
 
 
@@ -182,7 +186,10 @@ def far_field(
         bend = complex(found[3][0]["distortion3_0_re"], found[3][0]["distortion3_0_im"])
         index = list(found[3][0]).index("distortion3_0_re")
         compression = math.copysign(3.0 * abs(bend) / reference, -bend.real)
-        error = 3.0 * math.sqrt(float(found[3][1][index, index])) / reference
+        # both quadratures: which of them is the detector's own, the latency decides
+        error = (
+            3.0 * math.sqrt(float(np.trace(found[3][1][index : index + 2, index : index + 2]))) / reference
+        )
         doubt = min(math.hypot(error, _MODEL * compression), doubt)
     else:
         findings.append(
@@ -192,7 +199,13 @@ def far_field(
     moved: _Floats | None = None
     if points.signals.mean is not None:
         mean, moved, scatter["A0"], sentences = _mean(
-            points.signals.mean, points, reference, centre_height, compression, width, stated.get("A0")
+            points.signals.mean,
+            points,
+            reference,
+            centre_height,
+            (compression, doubt),
+            width,
+            stated.get("A0"),
         )
         values |= mean[0]
         blocks.append(mean[1])
@@ -200,11 +213,20 @@ def far_field(
     values["compression"] = compression
     blocks.append(np.array([[doubt**2]]))
     if 2 in orders:
-        data = points.signals.phasor[2]
-        if moved is not None:  # a spot that has moved distorts otherwise
-            data = data + 2.0 * compression * moved * (first / reference) ** 2
+        data, beside = points.signals.phasor[2], None
+        # a spot that has moved distorts otherwise, by as much as is known of the compression
+        if moved is not None:
+            by_moving = -2.0 * moved * (first / reference) ** 2
+            data = data - compression * by_moving
+            beside = by_moving, math.hypot(doubt, _ELECTRONICS * compression)
+            far_off = float(np.ptp(moved))
+            if abs(compression) * far_off > _FAR_OFF * width["distortion"]:
+                findings.append(
+                    f"the spot moved by {far_off * 1e9:.3g} nm between the far-field data, which changes the "
+                    "distortion: take them all at the height of the curve's far part"
+                )
         found[2], scatter["A2"], sentences = _harmonic(
-            2, data, first, points.drive, reference, width, stated.get("A2")
+            2, data, first, points.drive, reference, width, stated.get("A2"), beside
         )
         findings += sentences
     for n in orders:
@@ -230,20 +252,29 @@ def _harmonic(
     reference: float,
     width: Mapping[str, float],
     sigma: float | None,
+    beside: tuple[_Complex, float] | None = None,
 ) -> tuple[tuple[dict[str, float], _Floats], float, list[str]]:
-    """Return distortion and crosstalk of a harmonic with their covariance, its noise, and what to say."""
+    """Return distortion and crosstalk of a harmonic with their covariance, its noise, and what to say.
+
+    ``beside`` is a further column whose coefficient is 0 but for a standard deviation.
+    """
     good = np.isfinite(data) & np.isfinite(first)
     basis = distortion_basis(first[good], n, reference)
     v = drive[good]
     ladder = bool(np.ptp(v) > 1e-3 * np.abs(v).max()) if v.size else False
     columns = [basis, v[:, None] + 0j] + ([v[:, None] ** 2 + 0j] if ladder else [])
+    columns += [beside[0][good, None]] if beside is not None else []
     B = np.concatenate(columns, axis=1)
     # complex coefficients as pairs of real ones: c B = (re + i im) B
     design = np.concatenate(
-        [np.stack([B.real, -B.imag], -1).reshape(v.size, -1), np.stack([B.imag, B.real], -1).reshape(v.size, -1)]
+        [
+            np.stack([B.real, -B.imag], -1).reshape(v.size, -1),
+            np.stack([B.imag, B.real], -1).reshape(v.size, -1),
+        ]
     )
     stacked = np.concatenate([data[good].real, data[good].imag])
     prior = [width["distortion"] * power for power in _POWERS] + [width["crosstalk"]] * (1 + ladder)
+    prior += [beside[1]] if beside is not None else []
     mean, covariance, noise = _regress(design, stacked, np.repeat(prior, 2), sigma, 1e-12)
     turn = np.eye(2 * (TERMS + 1), mean.size)
     if ladder:  # at the drive of the scan both parts of it are there
@@ -254,16 +285,24 @@ def _harmonic(
     sentences = []
     unsure = math.sqrt(float(covariance[2 * TERMS, 2 * TERMS]))
     if unsure > _OPEN * width["crosstalk"]:
-        why = "over a ladder of drives the drive's own harmonic grows as distortion does" if ladder else (
-            "the far-field data have one amplitude" if np.ptp(np.abs(first)) < 0.2 * reference else "they are too few or too noisy"
-        )
+        why = _why_open(first, reference)
+        if ladder:
+            why = "over a ladder of drives the drive's own harmonic grows as distortion does"
         kappa, d = (math.hypot(*mean[i : i + 2]) for i in (0, 2 * TERMS))
         sentences.append(
-            f"distortion and crosstalk of harmonic {n} cannot be told apart: {why}. What is seen was shared out by their "
-            f"priors ({width['distortion'] * 1e12:.3g} and {width['crosstalk'] * 1e12:.3g} pm), {kappa * 1e12:.3g} and "
-            f"{d * 1e12:.3g} pm, each +- {unsure * 1e12:.3g} pm; a frequency ladder at constant drive tells them apart"
+            f"distortion and crosstalk of harmonic {n} cannot be told apart: {why}. What is seen was shared out by "
+            f"their priors ({width['distortion'] * 1e12:.3g} and {width['crosstalk'] * 1e12:.3g} pm), "
+            f"{kappa * 1e12:.3g} and {d * 1e12:.3g} pm, each +- {unsure * 1e12:.3g} pm; a frequency ladder at constant "
+            "drive tells them apart"
         )
     return (dict(zip(names, map(float, mean), strict=True)), covariance), noise, sentences
+
+
+def _why_open(first: _Complex, reference: float) -> str:
+    """Return why readings at these amplitudes leave something open."""
+    span = float(np.nanmax(np.abs(first)) - np.nanmin(np.abs(first)))
+    alike = span < _ALIKE * reference
+    return "the far-field data have one amplitude" if alike else "the far-field data are too few or too noisy"
 
 
 def _mean(
@@ -271,23 +310,37 @@ def _mean(
     points: FarPoints,
     reference: float,
     centre: float,
-    compression: float,
+    compression: tuple[float, float],
     width: Mapping[str, float],
     sigma: float | None,
 ) -> tuple[tuple[dict[str, float], _Floats], _Floats, float, list[str]]:
-    """Return offset, slope and distortion of the mean with their covariance, what moved the spot, noise, what to say."""
+    """Return offset, slope and distortion of the mean with covariance, what moved the spot, noise, what to say.
+
+    ``compression`` is an estimate and its standard deviation.
+    """
+    chi, doubt = compression
     basis = distortion_basis(points.signals.phasor[1], 0, reference).real
     u = basis[:, 0]
-    weakened = (1.0 - 2.0 * compression * u) / (1.0 - 2.0 * compression)
+    weakened = (1.0 - 2.0 * chi * u) / (1.0 - 2.0 * chi)
     # every set of readings has a position of the spot of its own, and heights from an origin of its own
     groups = range(1, int(points.group.max()) + 1)
-    position = np.column_stack([weakened * (points.group == k) for k in groups]) if groups else np.empty((data.size, 0))
+    position = (
+        np.stack([weakened * (points.group == k) for k in groups], -1) if groups else np.empty((data.size, 0))
+    )
     origin = np.array([centre, *(_middle(points.height[points.group == k]) for k in groups)])
     height = np.nan_to_num(points.height - origin[points.group])
     design = np.column_stack([np.ones(data.size), height * weakened, basis, position])
-    prior = [width["A0_offset"], width["A0_slope_z"], *(width["distortion"] * p for p in _POWERS[: TERMS - 1])]
+    prior = [
+        width["A0_offset"],
+        width["A0_slope_z"],
+        *(width["distortion"] * p for p in _POWERS[: TERMS - 1]),
+    ]
     prior += [width["A0_offset"]] * len(groups)
     good = np.isfinite(data) & np.isfinite(u)
+    mean, _, _ = _regress(design[good], data[good], np.array(prior), sigma, 1e-11)
+    # how much the detector weakens a spot that has moved is known no better than the compression is
+    moving = (height * mean[1] + position @ mean[4:] / weakened) * 2.0 * (1.0 - u) / (1.0 - 2.0 * chi) ** 2
+    design, prior = np.column_stack([design, moving]), [*prior, doubt]
     mean, covariance, noise = _regress(design[good], data[good], np.array(prior), sigma, 1e-11)
     names = ["A0_offset", "A0_slope_z", "distortion0_0", "distortion0_1"]
     mean, covariance = mean[: len(names)], covariance[: len(names), : len(names)]
@@ -295,8 +348,9 @@ def _mean(
     unsure = math.sqrt(float(covariance[2, 2]))
     if unsure > _OPEN * width["distortion"]:
         sentences.append(
-            "offset and distortion of A0 cannot be told apart, because the far-field data have one amplitude. Where the "
-            f"amplitude falls to nothing A0 is unsure by {unsure * 1e12:.3g} pm; a frequency ladder at constant drive decides"
+            f"offset and distortion of A0 cannot be told apart: {_why_open(points.signals.phasor[1], reference)}. "
+            f"Where the amplitude falls to nothing A0 is unsure by {unsure * 1e12:.3g} pm; a frequency ladder at constant "
+            "drive decides"
         )
     moved = (data - mean[0] - basis @ mean[2:]) / weakened
     return (dict(zip(names, map(float, mean), strict=True)), covariance), moved, noise, sentences
@@ -324,11 +378,15 @@ def ladder_points(observables: Any) -> FarPoints:
     def beside(names: Sequence[str], default: float) -> _Floats:
         for name in names:
             if name in observables or name in observables.coords:
-                return np.asarray(observables[name].broadcast_like(like).transpose(*like.dims).values, float).ravel()
+                return np.asarray(
+                    observables[name].broadcast_like(like).transpose(*like.dims).values, float
+                ).ravel()
         return np.full(like.size, default)
 
     flat = Signals(
         signals.mean.ravel() if signals.mean is not None else None,
         {n: a.ravel() for n, a in signals.phasor.items()},
     )
-    return FarPoints(flat, beside(["drive"], 1.0), beside(["z", "Z"], math.nan), np.zeros(like.size, np.int64))
+    return FarPoints(
+        flat, beside(["drive"], 1.0), beside(["z", "Z"], math.nan), np.zeros(like.size, np.int64)
+    )

@@ -17,12 +17,13 @@ import numpy.typing as npt
 
 from overtone.contact.models import contact_model
 from overtone.contact.sample import OF_THE_PROBE, Sample, sample
+from overtone.dynamics.balance import FOUND
 from overtone.dynamics.hold import hold_amplitude
 from overtone.dynamics.indented import indented_states
 from overtone.errors import CalibrationError
 from overtone.instrument.calibration import Calibration
 from overtone.instrument.shared import conservative, redo
-from overtone.instrument.signals import Signals, signals_of
+from overtone.instrument.signals import signals_of
 from overtone.instrument.unknowns import UNKNOWNS, probe_with, undo
 from overtone.units import format_quantity
 
@@ -35,6 +36,7 @@ SOFTER = 20.0
 """The second material of a table is the reference made softer by so much, as the soft phase of many a blend."""
 
 _STEP = 1e-3
+_LEAST_LENGTH, _LEAST = 1e-15, 1e-6  # steps of an unknown whose error is none [m, 1 or rad]
 _MEANINGLESS = 2.0  # standard deviation of ln E beyond which linear errors say only "not determined"
 _UNITS = {unknown.name: unknown.unit for unknown in UNKNOWNS}
 
@@ -98,18 +100,29 @@ def gates(
     Raises
     ------
     CalibrationError
-        If the calibration has no reference and no materials are given, or no repulsive state exists.
+        If the calibration has no reference and no materials are given, a material is an array of several, or no
+        repulsive state exists.
 
     Notes
     -----
     To first order, at one pixel without noise: averaging pixels does nothing against shared errors. Where the answer
-    is beyond 1 its size means nothing but "not determined".
+    is beyond 1 its size means nothing but "not determined". At the middle of the scan, where slopes of A0 do nothing.
     """
     known = calibration.reference
+    if known is not None and "modulus" not in known.properties:
+        known = None
     if known is None and not materials:
-        raise CalibrationError("no material to ask for", expected="a calibration with a reference, or materials")
+        raise CalibrationError(
+            "no material to ask for",
+            expected="a calibration with a reference that has a modulus, or materials",
+        )
     wanted: dict[str, Sample] = dict(materials or {})
-    reference_row: _Floats | None = None
+    several = [name for name, material in wanted.items() if material.shape]
+    if several:
+        raise CalibrationError(
+            "a gate is for one material", expected="plain numbers", got=f"arrays for {several[0]}"
+        )
+    itself, reference_row = None, None
     if known is not None:
         own = {name: value for name, (value, _) in known.properties.items()}
         itself = sample(known.model, poisson_ratio=known.poisson_ratio, **own)
@@ -122,8 +135,10 @@ def gates(
             }
     result = []
     for name, material in wanted.items():
-        is_reference = known is not None and name == known.name
-        row = reference_row if is_reference and reference_row is not None else _sensitivity(calibration, material, setpoint, harmonics)
+        is_reference = material is itself
+        row = reference_row if is_reference else None
+        if row is None:
+            row = _sensitivity(calibration, material, setpoint, harmonics)
         relative = math.nan
         if known is not None and reference_row is not None and not is_reference:
             relative = _given_the_reference(calibration, row, reference_row, known.properties["modulus"][1])
@@ -139,32 +154,37 @@ def _sensitivity(
     Raises
     ------
     CalibrationError
-        If there is no repulsive state.
+        If there is no repulsive state, or the motion in it is not found.
     """
     probe = probe_with(calibration.probe, calibration.values)
-    state = hold_amplitude(probe, material, setpoint=setpoint)
+    n_max = max(10, *harmonics)
+    state = hold_amplitude(probe, material, setpoint=setpoint, n_max=n_max, keep=max(3, *harmonics))
     if not np.isfinite(float(state["A1"])):
         raise CalibrationError(
             "no repulsive state at this set-point",
             got=f"A1/A1far = {setpoint:g} on {format_quantity(float(material.values['modulus']), 'Pa')}",
             hint="a deeper set-point or a larger amplitude",
         )
-    clean = signals_of(state[[str(n) for n in state.data_vars if str(n)[:1] in "Ap" and str(n)[-1].isdigit()]])
-    clean = Signals(
-        np.atleast_1d(clean.mean) if clean.mean is not None else None,
-        {n: np.atleast_1d(a) for n, a in clean.phasor.items()},
-    )
+    clean = signals_of(state.expand_dims("point"))
     A, delta = float(state["A1"]), float(state["indentation"])
     free = [q.name for q in material.model.parameters if q.name in ("modulus", "adhesion")]
 
-    def model(changes: Sequence[float]) -> _Floats:
+    def model(changes: _Floats) -> _Floats:
+        """Return CONS_n with each free property and the indentation changed by a share."""
         values = {name: float(value) for name, value in material.values.items()}
         for name, change in zip(free, changes, strict=False):
             values[name] *= math.exp(change)
         own = {q.name for q in contact_model(material.model.key).parameters} - set(OF_THE_PROBE)
         there = sample(material.model.key, **{n: v for n, v in values.items() if n in own})
-        force = indented_states(probe, there, amplitude=[A], indentation=[delta * math.exp(changes[-1])]).force
-        return np.asarray(force[0, list(harmonics)].real)
+        deeper = delta * math.exp(changes[-1])
+        states = indented_states(probe, there, amplitude=[A], indentation=[deeper], n_max=n_max)
+        if int(states.status[0]) != FOUND:
+            raise CalibrationError(
+                "the motion at this set-point is not found",
+                got=f"A1/A1far = {setpoint:g} on {format_quantity(float(values['modulus']), 'Pa')}",
+                hint="a shallower set-point or a stiffer lever",
+            )
+        return np.asarray(states.force[0, list(harmonics)].real)
 
     unknowns = len(free) + 1
     J = np.empty((len(harmonics), unknowns))
@@ -177,22 +197,23 @@ def _sensitivity(
 
     def forces(values: Mapping[str, float]) -> _Floats:
         signals = undo(read, values, calibration.amplitude)  # at the middle of the scan: no slopes
-        return conservative(signals, probe_with(calibration.probe, values), harmonics)[0]
+        return np.asarray(conservative(signals, probe_with(calibration.probe, values), harmonics)[0])
 
     row = []
     for name in calibration.names:
-        step = 1e-2 * max(calibration.error(name), 1e-15)
-        up, down = ({**calibration.values, name: calibration.values[name] + s} for s in (step, -step))
-        change = to_modulus @ (forces(up) - forces(down)) / (2.0 * step)
+        width = max(1e-2 * calibration.error(name), _LEAST_LENGTH if _UNITS[name] == "m" else _LEAST)
+        middle = calibration.values[name]
+        up, down = ({**calibration.values, name: middle + w} for w in (width, -width))
+        change = float(to_modulus @ (forces(up) - forces(down))) / (2.0 * width)
         # E* goes as 1/sqrt(R) at a given Lambda
-        row.append(float(change) - (0.5 / calibration.values["radius"] if name == "radius" else 0.0))
+        row.append(change - (0.5 / calibration.values["radius"] if name == "radius" else 0.0))
     return np.array(row)
 
 
 def _given_the_reference(
     calibration: Calibration, row: _Floats, reference: _Floats, reference_error: float
 ) -> float:
-    """Return the error of ln E once a reference in the scan, of known modulus, has been inverted with the same errors."""
+    """Return the error of ln E once a reference in the scan, of known modulus, was inverted with the same errors."""
     C = calibration.covariance
     along = C @ reference
     left = C - np.outer(along, along) / (float(reference @ along) + reference_error**2)
@@ -206,9 +227,13 @@ def _gate(
     verdict = ABSOLUTE if absolute <= GATE else RELATIVE if relative <= GATE else CONTRAST
     share = {n: abs(float(r)) * calibration.error(n) for n, r in zip(calibration.names, row, strict=True)}
     worst = sorted(share, key=lambda n: -share[n])[:3]
-    tolerance = {n: GATE / abs(float(r)) if r else math.inf for n, r in zip(calibration.names, row, strict=True)}
+    tolerance = {
+        n: GATE / abs(float(r)) if r else math.inf for n, r in zip(calibration.names, row, strict=True)
+    }
     limits = ", ".join(
-        f"{n} is known to {_text(calibration.error(n), n)} where {_text(tolerance[n], n)} would do" for n in worst if share[n] > 0.5 * GATE
+        f"{n} is known to {_text(calibration.error(n), n)} where {_text(tolerance[n], n)} would do"
+        for n in worst
+        if n == worst[0] or share[n] > 0.5 * GATE
     )
     size = f"shared errors {_moved(absolute)}"
     if verdict == ABSOLUTE:
@@ -216,7 +241,9 @@ def _gate(
     elif verdict == RELATIVE:
         reason = f"{size}, and its ratio to the reference by a factor of {math.exp(relative):.3g}: {limits}"
     else:
-        ratio = "" if math.isnan(relative) else f"; for its ratio to the reference they {_moved(relative, 'it')}"
+        ratio = (
+            "" if math.isnan(relative) else f"; for its ratio to the reference they {_moved(relative, 'it')}"
+        )
         reason = f"{size}{ratio}: {limits}"
     return Gate(
         name,
@@ -233,11 +260,13 @@ def _gate(
 
 def _moved(error: float, what: str = "its modulus") -> str:
     """Say what an error of ln E means; far beyond 1 a factor means nothing."""
-    return f"move {what} by a factor of {math.exp(error):.3g}" if error < _MEANINGLESS else f"leave {what} open"
+    return (
+        f"move {what} by a factor of {math.exp(error):.3g}" if error < _MEANINGLESS else f"leave {what} open"
+    )
 
 
 def _text(value: float, name: str) -> str:
     unit = _UNITS[name]
     if unit != "1" or name.startswith("A0_slope"):
-        return format_quantity(value, unit, 2)
+        return format_quantity(value, unit, 3)
     return f"{100.0 * value:.2g} %"

@@ -10,7 +10,8 @@ import numpy.typing as npt
 import xarray as xr
 
 from overtone.errors import OvertoneError
-from overtone.quantities import harmonic_orders, quantity
+from overtone.instrument.signals import in_the_frame_of_the_first, signals_of
+from overtone.quantities import harmonic_orders, quantity, validate_observables
 
 ORDINARY_NOISE: Mapping[str, float] = {
     "A0": 5e-12,
@@ -20,6 +21,7 @@ ORDINARY_NOISE: Mapping[str, float] = {
     "A3": 1e-12,
 }
 """Standard deviations of an ordinary scan [m, rad], used where none are stated; higher amplitudes as A3."""
+_FEWEST_PAIRS = 100
 
 
 def complete_noise(noise: Mapping[str, float] | None, orders: tuple[int, ...]) -> dict[str, float]:
@@ -101,3 +103,61 @@ def add_noise(observables: xr.Dataset, noise: Mapping[str, float] | None = None,
     for name in noisy.data_vars:
         noisy[name].attrs = dict(observables[name].attrs)
     return noisy
+
+
+def noise_from_pair(trace: xr.Dataset, retrace: xr.Dataset) -> dict[str, float]:
+    """Return the noise of a scan from how trace and retrace of the same lines differ.
+
+    Parameters
+    ----------
+    trace, retrace : Dataset
+        Observables of the same pixels, (y, x), in the same order along x.
+
+    Returns
+    -------
+    dict
+        Standard deviation of one reading of A0, A1, phi1 and of each quadrature of higher harmonics [m, rad], for
+        `complete_noise`.
+
+    Raises
+    ------
+    OvertoneError
+        If one of them is no dataset of observables, the two have other pixels, or fewer than 100 are in both.
+
+    Notes
+    -----
+    From medians, so that edges, where a lag of feedback or filter shows, do not count. What both ways share, drift from
+    line to line and every calibration error, is not in it. A filter slower than a pixel makes neighbours alike, not the
+    two ways.
+    """
+    for observables in (trace, retrace):
+        validate_observables(observables)
+    if trace["A1"].shape != retrace["A1"].shape:
+        raise OvertoneError(
+            "trace and retrace do not fit", expected=str(trace["A1"].shape), got=str(retrace["A1"].shape)
+        )
+    there, back = signals_of(trace), signals_of(retrace)
+
+    def spread(difference: npt.NDArray[np.float64]) -> float:
+        known = difference[np.isfinite(difference)]
+        if known.size < _FEWEST_PAIRS:
+            raise OvertoneError(
+                "too few pixels in trace and retrace",
+                expected=f"{_FEWEST_PAIRS} or more",
+                got=str(known.size),
+            )
+        return float(1.4826 * np.median(np.abs(known - np.median(known))) / math.sqrt(2.0))
+
+    noise = {"A1": spread(np.abs(there.phasor[1]) - np.abs(back.phasor[1]))}
+    with np.errstate(invalid="ignore", divide="ignore"):  # lost pixels
+        first = there.phasor[1] / back.phasor[1]
+        first = first / np.abs(first)
+    between = np.nanmean(first)  # the two ways may have another mean, anywhere on the circle
+    noise["phi1"] = spread(np.angle(first * np.conj(between)))
+    if there.mean is not None and back.mean is not None:
+        noise["A0"] = spread(there.mean - back.mean)
+    frames = in_the_frame_of_the_first(there), in_the_frame_of_the_first(back)
+    for n in sorted(set(frames[0]) & set(frames[1])):
+        off = frames[0][n] - frames[1][n]
+        noise[f"A{n}"] = math.sqrt(0.5 * (spread(off.real) ** 2 + spread(off.imag) ** 2))
+    return noise

@@ -1,4 +1,4 @@
-"""Optical detection in the time domain: a laser spot on a split photodiode, sampled and demodulated.
+"""Optical detection: a laser spot on a split photodiode, and what a lock-in reads from it in the steady state.
 
 The diode tells how much more light falls on one half than on the other. The harmonics it fakes come out of
 the shape of the spot here, not out of a polynomial, so that a correction that fits polynomials is tested
@@ -8,7 +8,6 @@ against something it was not built on. Deflections and spot sizes share one scal
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -18,7 +17,7 @@ import numpy.typing as npt
 import xarray as xr
 
 from overtone import provenance
-from overtone.errors import DistortionWarning, ObservablesError, OvertoneError
+from overtone.errors import ObservablesError, OvertoneError
 from overtone.quantities import harmonic_orders, named_array, quantity, validate_observables
 
 ROUND = "round"
@@ -28,7 +27,6 @@ GAUSSIAN = "gaussian"
 _Floats = npt.NDArray[np.float64]
 _FAINTEST_SLOPE = 1e-2  # of the centred spot's: beyond, nobody would call the laser aligned
 _ALIASING = 1e-6  # of the stroke: the highest harmonics of the reading must have died down to this
-_LINE_SPACING = 20.0  # bins of the record: there the lock-in's window has fallen to 4e-7
 _BLOCK = 2**20  # samples in memory at a time
 
 
@@ -175,9 +173,12 @@ def waveform(observables: xr.Dataset, phase: Any) -> xr.DataArray:
     if theta.ndim != 1:
         raise OvertoneError("phases of a waveform lie on one axis", got=f"an array of shape {theta.shape}")
     phasors = _phasors(observables)
-    coords = {"theta": ("theta", theta, {"units": "rad", "long_name": "phase of the drive"})}
     values = _sum_of_harmonics(phasors.values, phasors["harmonic"].values, theta)
-    return _deflection(values, phasors, "theta", coords, "deflection")
+    own = phasors.isel(harmonic=0, drop=True)
+    axis = xr.DataArray(theta, dims="theta", attrs={"units": "rad", "long_name": "phase of the drive"})
+    attrs = {"units": "m", "long_name": "deflection"}
+    coords = {**own.coords, "theta": axis}
+    return xr.DataArray(values, coords, [*own.dims, "theta"], name="deflection", attrs=attrs)
 
 
 def read_through(
@@ -250,7 +251,9 @@ def read_through(
             expected=f"harmonics that fall below {_ALIASING:g} of the stroke",
             hint=f"samples={4 * samples}: where the spot leaves one half, harmonics fall slowly",
         )
-    result = _observables(read.reshape(*shift.shape, wanted.size), wanted, shift.dims, phasors.coords)
+    places = {**phasors.isel(harmonic=0, drop=True).coords, "harmonic": wanted}
+    spectra = xr.DataArray(read.reshape(*shift.shape, wanted.size), places, [*shift.dims, "harmonic"])
+    result = observables_of(spectra)
     kept = [name for name in observables.data_vars if not _is_harmonic(str(name))]
     result = result.assign({name: observables[name] for name in kept}).assign_attrs(observables.attrs)
     drift = float(shift.values.flat[0]) if np.ndim(offset) == 0 else f"array of {shift.sizes}"
@@ -259,227 +262,19 @@ def read_through(
     )
 
 
-def sample_trace(
-    observables: xr.Dataset,
-    diode: SplitDiode,
-    *,
-    drive_frequency: float,
-    sampling_rate: float,
-    duration: float,
-    seed: int,
-    drift_rate: float = 0.0,
-    noise_density: float = 0.0,
-    bits: int | None = None,
-    range: float | None = None,
-    zeroed: bool = False,
-) -> xr.DataArray:
-    """Return the deflection trace that an ADC records behind the diode.
-
-    ``q(t) = A0 + drift_rate t + sum A_n cos(n w t - phi_n)`` passes the diode; white noise is added; the sum
-    is rounded to the codes of the ADC.
-
-    Parameters
-    ----------
-    observables : Dataset
-        True motion, as in `read_through`; one point or many, each recorded from its own time zero.
-    diode : SplitDiode
-        The detector.
-    drive_frequency, sampling_rate : float
-        [Hz]. Nothing filters the trace: what the diode adds above half the sampling rate folds back.
-    duration : float
-        [s].
-    seed : int
-        Seed of the generator of the noise.
-    drift_rate : float
-        Drift of the spot [m/s].
-    noise_density : float
-        One-sided amplitude density of the detector's noise [m/sqrt(Hz)].
-    bits, range : int and float, optional
-        Resolution of the ADC, 1 to 32, and its full scale from ``-range`` to ``range`` [m of reading].
-    zeroed : bool
-        As in `response`.
-
-    Returns
-    -------
-    DataArray
-        Reading [m], dimensions of the observables and ``time`` [s] last.
-
-    Raises
-    ------
-    ObservablesError
-        If the dataset does not keep the contract of observables.
-    OvertoneError
-        If a number makes no sense, or a harmonic of the motion lies above half the sampling rate.
-
-    Warns
-    -----
-    DistortionWarning
-        If samples lie outside the range of the ADC, where they stick to its ends.
-    """
-    positive = {"drive_frequency": drive_frequency, "sampling_rate": sampling_rate, "duration": duration}
-    bad = [f"{name} = {value!r}" for name, value in positive.items() if not 0.0 < value < math.inf]
-    bad += [] if math.isfinite(drift_rate) else [f"drift_rate = {drift_rate!r}"]
-    bad += [] if 0.0 <= noise_density < math.inf else [f"noise_density = {noise_density!r}"]
-    if not bad and round(duration * sampling_rate) < 1:
-        bad += [f"duration = {duration!r}, shorter than a sample"]
-    adc = None
-    if bits is not None and range is not None and 1 <= bits <= 32 and 0.0 < range < math.inf:
-        adc = (int(bits), float(range))
-    elif bits is not None or range is not None:
-        bad += [f"bits = {bits!r} with range = {range!r}"]
-    if bad:
-        raise OvertoneError(
-            "such a trace cannot be recorded",
-            expected="finite numbers > 0 (drift_rate any, noise_density >= 0), bits and range together",
-            got=", ".join(bad),
-        )
-    phasors = _phasors(observables)
-    orders = phasors["harmonic"].values
-    if orders.max() * drive_frequency >= sampling_rate / 2.0:
-        raise OvertoneError(
-            f"harmonic {orders.max()} lies above half the sampling rate",
-            expected=f"a sampling rate above {2.0 * orders.max() * drive_frequency:.4g} Hz",
-            got=f"{sampling_rate:.4g} Hz",
-            hint="a higher rate, or a motion without that harmonic",
-        )
-    time = np.arange(round(duration * sampling_rate)) / sampling_rate
-    motion = _sum_of_harmonics(phasors.values, orders, 2.0 * np.pi * drive_frequency * time)
-    reading = response(diode, motion + drift_rate * time, zeroed=zeroed)
-    if noise_density > 0.0:
-        # a one-sided density S up to half the rate: sigma^2 = S fs / 2
-        sigma = noise_density * math.sqrt(sampling_rate / 2.0)
-        reading = reading + np.random.default_rng(seed).normal(0.0, sigma, reading.shape)
-    if adc is not None:
-        reading = _quantise(reading, *adc)
-    coords = {"time": ("time", time, {"units": "s", "long_name": "time"})}
-    return _deflection(reading, phasors, "time", coords, "deflection as the photodiode reads it")
-
-
-def _quantise(reading: _Floats, bits: int, full_scale: float) -> _Floats:
-    step = 2.0 * full_scale / 2**bits
-    codes = np.round(reading / step)
-    lowest, highest = -(2 ** (bits - 1)), 2 ** (bits - 1) - 1
-    outside = int(((codes < lowest) | (codes > highest)).sum())
-    if outside:
-        warnings.warn(
-            f"{outside} of {codes.size} samples lie outside the range of the ADC and stick to its ends",
-            DistortionWarning,
-            stacklevel=3,
-        )
-    return np.asarray(np.clip(codes, lowest, highest) * step)
-
-
-def lock_in(
-    trace: xr.DataArray,
-    drive_frequency: float,
-    harmonics: Sequence[int] = (0, 1, 2, 3),
-    *,
-    duration: float | None = None,
-) -> tuple[xr.DataArray, float]:
-    """Return the phasors ``a_n = A_n exp(-i phi_n)`` of a trace by a plain digital lock-in.
-
-    Multiplies by ``exp(-i n w t)``, t being the time of the trace, and averages under a squared Hann window,
-    in which another harmonic k bins of the record away counts as ``4/(pi k^5)``.
-
-    Parameters
-    ----------
-    trace : DataArray
-        Deflection [m] with an evenly sampled ``time`` [s]; any further dimensions.
-    drive_frequency : float
-        [Hz].
-    harmonics : sequence of int
-        Orders, 0 for the mean.
-    duration : float, optional
-        Split the record into windows of this length [s], each with its phasors; an incomplete last one is
-        left out. The whole record unless given.
-
-    Returns
-    -------
-    phasors : DataArray
-        Complex [m], dimensions of the trace without time, ``window`` where the record is split (its
-        coordinate ``time`` is its middle), and ``harmonic`` last; see `observables_of`.
-    bandwidth : float
-        B [Hz]: white noise of one-sided power density S gives each of Re a_n and Im a_n a standard
-        deviation of sqrt(2 S B), the mean A0 one of sqrt(S B).
-
-    Raises
-    ------
-    OvertoneError
-        If the trace has no even time, or is too short or too coarse to keep the harmonics apart.
-    """
-    orders = np.array(sorted(set(harmonics)), dtype=int)
-    time = trace["time"].values.astype(float) if "time" in trace.coords else np.zeros(0)
-    if trace.dims.count("time") != 1 or time.size < 2 or not _even(time):
-        raise OvertoneError(
-            "the trace has no even time",
-            expected="a dimension time with a coordinate in seconds at even steps",
-            got=f"dimensions {trace.dims}, {time.size} times",
-        )
-    rate = (time.size - 1) / (time[-1] - time[0])
-    count = time.size if duration is None else max(round(duration * rate), 1)
-    if orders.size == 0 or orders.min() < 0 or count > time.size:
-        raise OvertoneError(
-            "this demodulation cannot be done",
-            expected=f"harmonics >= 0 and at most {time.size / rate:.4g} s",
-            got=f"harmonics {orders.tolist()}, {count / rate:.4g} s",
-        )
-    _require_resolved(orders, drive_frequency, rate, count)
-
-    values = np.moveaxis(trace.values, trace.dims.index("time"), -1)
-    windows = time.size // count
-    values = values[..., : windows * count].reshape(*values.shape[:-1], windows, count)
-    weight = np.sin(np.pi * (np.arange(count) + 0.5) / count) ** 4
-    weight /= weight.sum()
-    theta = 2.0 * np.pi * drive_frequency * (time[:count] - time[0])
-    turn = orders[:, None] * theta
-    # one product of real matrices: cosines and sines side by side
-    sums = values @ np.concatenate([weight * np.cos(turn), -weight * np.sin(turn)]).T
-    phasors = sums[..., : orders.size] + 1j * sums[..., orders.size :]
-    phasors *= np.where(orders > 0, 2.0, 1.0)
-    start = time[: windows * count : count]
-    phasors *= np.exp(-2j * np.pi * drive_frequency * start[:, None] * orders)
-    middle = start + (count - 1) / (2.0 * rate)
-
-    dims = [name for name in trace.dims if name != "time"]
-    coords = {name: value for name, value in trace.coords.items() if "time" not in value.dims}
-    coords["harmonic"] = xr.DataArray(orders, dims="harmonic")
-    if duration is None:
-        phasors = phasors[..., 0, :]
-    else:
-        dims.append("window")
-        coords["time"] = xr.DataArray(middle, dims="window", attrs=dict(trace["time"].attrs))
-    attrs = {"units": "m", "long_name": "phasors A_n exp(-i phi_n)"}
-    result = xr.DataArray(phasors, coords, [*dims, "harmonic"], name="phasor", attrs=attrs)
-    return result, float(rate * (weight**2).sum() / 2.0)
-
-
 def observables_of(phasors: xr.DataArray) -> xr.Dataset:
-    """Return A0, A1, phi1, ... of phasors over ``harmonic``, phases in [0, 2 pi)."""
-    phasors = phasors.transpose(..., "harmonic")
-    return _observables(phasors.values, phasors["harmonic"].values, phasors.dims[:-1], phasors.coords)
-
-
-def _even(time: _Floats) -> bool:
-    steps = np.diff(time)
-    return bool(steps[0] > 0.0 and np.abs(steps - steps.mean()).max() < 1e-6 * steps.mean())
-
-
-def _require_resolved(orders: npt.NDArray[np.int_], frequency: float, rate: float, count: int) -> None:
-    """Refuse where two lines of a real signal, n f and -m f, or their images by the sampling, come too close."""
-    highest = int(max(orders.max(), 1))
-    lines = np.arange(-highest, highest + 1) * frequency
-    distance = np.abs(orders[:, None] * frequency - lines)
-    distance = np.abs(distance - rate * np.round(distance / rate)) * count / rate
-    other = orders[:, None] != np.arange(-highest, highest + 1)
-    closest = float(distance[other].min()) if frequency > 0.0 else 0.0
-    if not (closest >= _LINE_SPACING and highest * frequency < rate / 2.0):
-        raise OvertoneError(
-            "the record does not keep the harmonics apart",
-            expected=f"{_LINE_SPACING:g} periods at least, and harmonics below half of the sampling rate",
-            got=f"{frequency * count / rate:.4g} periods at {rate:.4g} Hz, harmonic {highest} "
-            f"at {highest * frequency:.4g} Hz, lines {closest:.3g} periods apart",
-            hint="a longer or faster record, or fewer harmonics",
-        )
+    """Return A0, A1, phi1, ... of phasors over ``harmonic`` [m], phases in [0, 2 pi)."""
+    arrays: dict[str, xr.DataArray] = {}
+    for n in (int(order) for order in phasors["harmonic"].values):
+        phasor = phasors.sel(harmonic=n, drop=True)
+        dims, coords = phasor.dims, phasor.coords
+        if n == 0:
+            arrays["A0"] = named_array("A0", phasor.values.real, dims, coords)
+        else:
+            lag = -np.angle(phasor.values) % (2.0 * np.pi)
+            arrays[f"A{n}"] = named_array(f"A{n}", np.abs(phasor.values), dims, coords)
+            arrays[f"phi{n}"] = named_array(f"phi{n}", lag, dims, coords)
+    return xr.Dataset(arrays)
 
 
 def _is_harmonic(name: str) -> bool:
@@ -528,24 +323,3 @@ def _sum_of_harmonics(
     turn = orders[:, None] * theta
     with np.errstate(invalid="ignore"):
         return np.asarray(phasors.real @ np.cos(turn) - phasors.imag @ np.sin(turn))
-
-
-def _observables(phasors: npt.NDArray[np.complex128], orders: Any, dims: Any, coords: Any) -> xr.Dataset:
-    arrays: dict[str, xr.DataArray] = {}
-    for k, n in enumerate(int(n) for n in orders):
-        phasor = phasors[..., k]
-        if n == 0:
-            arrays["A0"] = named_array("A0", phasor.real, dims, coords)
-        else:
-            arrays[f"A{n}"] = named_array(f"A{n}", np.abs(phasor), dims, coords)
-            arrays[f"phi{n}"] = named_array(f"phi{n}", -np.angle(phasor) % (2.0 * np.pi), dims, coords)
-    return xr.Dataset(arrays)
-
-
-def _deflection(
-    values: _Floats, phasors: xr.DataArray, axis: str, coords: dict[str, Any], meaning: str
-) -> xr.DataArray:
-    own = {name: value for name, value in phasors.coords.items() if "harmonic" not in value.dims}
-    dims = [*(name for name in phasors.dims if name != "harmonic"), axis]
-    attrs = {"units": "m", "long_name": meaning}
-    return xr.DataArray(values, {**own, **coords}, dims, name="deflection", attrs=attrs)

@@ -40,12 +40,16 @@ def reference_pixels(scan: xr.Dataset, chosen: xr.DataArray | Sequence[float]) -
     if isinstance(chosen, xr.DataArray):
         if set(chosen.dims) != set(like.dims) or any(chosen.sizes[d] != like.sizes[d] for d in like.dims):
             raise CalibrationError(
-                "the mask of the reference does not fit the scan", expected=str(dict(like.sizes)), got=str(dict(chosen.sizes))
+                "the mask of the reference does not fit the scan",
+                expected=str(dict(like.sizes)),
+                got=str(dict(chosen.sizes)),
             )
-        mask = np.asarray(chosen.transpose(*like.dims).values).astype(bool)
+        mask: _Mask = np.asarray(chosen.transpose(*like.dims).values).astype(bool)
     else:
         if len(chosen) != 4 or not np.isfinite(np.asarray(chosen, dtype=float)).all():
-            raise CalibrationError("a rectangle is four numbers", expected="x0, y0, x1, y1 [m]", got=str(chosen))
+            raise CalibrationError(
+                "a rectangle is four numbers", expected="x0, y0, x1, y1 [m]", got=str(chosen)
+            )
         if not {"x", "y"} <= set(scan.coords):
             raise CalibrationError("the scan has no coordinates", expected="x and y [m]", hint="a mask")
         x0, y0, x1, y1 = (float(v) for v in chosen)
@@ -60,7 +64,9 @@ def reference_pixels(scan: xr.Dataset, chosen: xr.DataArray | Sequence[float]) -
     return mask
 
 
-def find_reference(off: Mapping[str, _Floats], shared: Mapping[str, float], findings: list[str]) -> _Mask:
+def find_reference(
+    off: Mapping[str, _Floats], shared: Mapping[str, float], drift: Mapping[str, float], findings: list[str]
+) -> _Mask:
     """Return the pixels that look like the reference, as far as the calibration is sure how it looks.
 
     Parameters
@@ -69,6 +75,8 @@ def find_reference(off: Mapping[str, _Floats], shared: Mapping[str, float], find
         How far each pixel is from the approach curve in each reading.
     shared : mapping of str to float
         Standard deviation of what all pixels are off together: zero, phase, gains.
+    drift : mapping of str to float
+        What one line may differ from another by without being of another material.
     findings : list of str
         Gets a sentence where another group of pixels would pass as well.
 
@@ -82,7 +90,7 @@ def find_reference(off: Mapping[str, _Floats], shared: Mapping[str, float], find
     points = np.stack([off[name].ravel() for name in names], axis=-1)
     known = np.isfinite(points).all(axis=1)
     # the scatter of one phase: neighbours along a line are mostly of one material
-    noise = np.array([_neighbour_noise(off[name]) for name in names])
+    noise = np.array([math.hypot(_neighbour_noise(off[name]), drift.get(name, 0.0)) for name in names])
     width = np.array([shared[name] for name in names])
     scaled = points / noise
     allowed = np.hypot(width, noise) / noise
@@ -100,14 +108,16 @@ def find_reference(off: Mapping[str, _Floats], shared: Mapping[str, float], find
     mask[group] = True
     if int(mask.sum()) < least:
         raise CalibrationError(
-            "no group of pixels looks like the reference", expected=f"{least} pixels or more", got=str(int(mask.sum()))
+            "no group of pixels looks like the reference",
+            expected=f"{least} pixels or more",
+            got=str(int(mask.sum())),
         )
     others = near & ~mask
     rest = _densest(scaled, others) if int(others.sum()) >= least else np.empty(0, int)
     if rest.size > max(least, 0.2 * mask.sum()):
         findings.append(
-            f"another group of {100 * rest.size / known.sum():.2g} % of the pixels passes for the reference as well; the larger one was "
-            "taken: mark the reference where that is wrong"
+            f"another group of {100 * rest.size / known.sum():.2g} % of the pixels passes for the reference as well; "
+            "the larger one was taken: mark the reference where that is wrong"
         )
     return mask.reshape(shape)
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from overtone.errors import ObservablesError
 from overtone.harmonics import far_phase, read_receptance
 from overtone.instrument.calibration import Calibration
 from overtone.instrument.signals import Signals, in_the_frame_of_the_first
@@ -21,7 +22,19 @@ _STEP = 1e-2  # of a standard deviation
 
 
 def redo(clean: Signals, values: Mapping[str, float], amplitude: float, **where: Any) -> Signals:
-    """Return the readings that `undo` turns into given signals, by iteration: what the instrument adds is small."""
+    """Return the readings that `undo` turns into given signals, by iteration: what the instrument adds is small.
+
+    Parameters
+    ----------
+    clean : Signals
+        Free of the instrument, any shape.
+    values : mapping
+        Every unknown of `overtone.instrument.unknowns.UNKNOWNS`.
+    amplitude : float
+        A_ref [m].
+    **where
+        ``height``, ``x``, ``y`` of each reading about the middle of the scan [m].
+    """
     read = clean
     for _ in range(_PASSES):
         again = undo(read, values, amplitude, **where)
@@ -38,20 +51,36 @@ def redo(clean: Signals, values: Mapping[str, float], amplitude: float, **where:
     return read
 
 
+def first_force(amplitude: Any, phase: Any, probe: Probe) -> npt.NDArray[np.complex128]:
+    """Return f_1 = CONS_1 - i DISS_1 [N] of an amplitude [m] and a lag [rad], as `overtone.to_force_harmonics` does."""
+    free = probe.drive.free_amplitude * np.exp(1j * (np.asarray(phase) - far_phase(probe)))
+    return np.asarray((amplitude - free) / complex(read_receptance(probe, probe.drive.frequency)))
+
+
 def conservative(signals: Signals, probe: Probe, orders: Sequence[int]) -> _Floats:
-    """Return CONS_n of signals [N], orders on the last axis, as `overtone.to_force_harmonics` has them."""
+    """Return CONS_n of signals [N], orders on the last axis, as `overtone.to_force_harmonics` has them.
+
+    Raises
+    ------
+    ObservablesError
+        If a harmonic is not among the signals.
+    """
+    missing = sorted(set(orders) - set(signals.orders))
+    if missing:
+        raise ObservablesError(
+            f"harmonic {', '.join(map(str, missing))} was not measured",
+            expected=", ".join(map(str, orders)),
+            got=", ".join(map(str, signals.orders)),
+        )
     receptance = read_receptance(probe, np.array(orders) * probe.drive.frequency)
     first = signals.phasor[1]
     frame = in_the_frame_of_the_first(signals)
     parts = []
     for n, G in zip(orders, receptance, strict=True):
-        if n == 0:
-            if signals.mean is None:
-                raise KeyError("A0")
+        if n == 0 and signals.mean is not None:
             parts.append((signals.mean / G).real)
         elif n == 1:
-            free = probe.drive.free_amplitude * np.exp(1j * (-np.angle(first) - far_phase(probe)))
-            parts.append(((np.abs(first) - free) / G).real)
+            parts.append(first_force(np.abs(first), -np.angle(first), probe).real)
         else:
             parts.append((frame[n] / G).real)
     return np.stack(parts, axis=-1)
@@ -100,7 +129,9 @@ def shared_forces(
         steps = dict(zip(calibration.names, _STEP * column, strict=True))
         there = {name: value + steps.get(name, 0.0) for name, value in calibration.values.items()}
         changes.append((forces(there) - here) / _STEP)
-    radius = root[calibration.names.index("radius")] / calibration.values["radius"] if "radius" in calibration.names else np.zeros(root.shape[1])
+    radius = np.zeros(root.shape[1])
+    if "radius" in calibration.names:
+        radius = root[calibration.names.index("radius")] / calibration.values["radius"]
     return np.stack(changes, axis=-1), radius
 
 

@@ -30,6 +30,32 @@ class Signals(NamedTuple):
         return (*((0,) if self.mean is not None else ()), *sorted(self.phasor))
 
 
+class Positions(NamedTuple):
+    """Where pixels lie, about the middle of the scan [m]."""
+
+    height: _Floats
+    x: _Floats
+    y: _Floats
+
+
+def positions(scan: xr.Dataset) -> Positions:
+    """Return heights and coordinates about their means; what the scan lacks, or a pixel, counts as the mean."""
+    like = scan["A1"]
+
+    def about_mean(array: xr.DataArray | None) -> _Floats:
+        if array is None:
+            return np.zeros(like.shape)
+        values = np.asarray(array.broadcast_like(like).transpose(*like.dims).values, dtype=float)
+        known = np.isfinite(values)
+        return np.where(known, values - (values[known].mean() if known.any() else 0.0), 0.0)
+
+    return Positions(
+        about_mean(scan.get("height")),
+        about_mean(scan["x"] if "x" in scan.coords else None),
+        about_mean(scan["y"] if "y" in scan.coords else None),
+    )
+
+
 def signals_of(observables: xr.Dataset) -> Signals:
     """Return the phasors of observables, on the dimensions of A1."""
     like = observables["A1"]

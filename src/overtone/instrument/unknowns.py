@@ -15,9 +15,10 @@ first harmonic at ``A_ref``, to leading order of the response ``s + c2 s^2 + c3 
     a2' = a2 (1 - 2 chi u) - 2 chi A0 a1^2/A_ref^2 + c2 a3 conj a1
     a3' = a3 (1 - 2 chi u) + c2 a1 a2
 
-where A0 holds whatever moves the spot, virtual deflection too, and is counted from the mean deflection at which the distortion was measured: a spot that has moved distorts
-otherwise. Lengths are calibrated at ``A_ref``, so everything is divided by ``1 - chi`` once more. Distortions are kept
-as what they make at ``A_ref`` [m], so that every number has the size of a signal.
+where A0 holds whatever moves the spot, virtual deflection too, and is counted from the mean deflection at which the
+distortion was measured: a spot that has moved distorts otherwise. Lengths are calibrated at ``A_ref``, so everything is
+divided by ``1 - chi`` once more. Distortions are kept as what they make at ``A_ref`` [m], so that every number has the
+size of a signal.
 """
 
 from __future__ import annotations
@@ -63,13 +64,20 @@ class Unknown:
 def _of_a_harmonic(n: int) -> list[Unknown]:
     parts = (("re", "real"), ("im", "imaginary"))
     terms = [
-        Unknown(f"distortion{n}_{j}_{short}", "m", f"{part} part of what the detector adds to a{n} at A_ref, |a1|^{2 * j}")
+        Unknown(
+            f"distortion{n}_{j}_{short}",
+            "m",
+            f"{part} part of what the detector adds to a{n} at A_ref, |a1|^{2 * j}",
+        )
         for j in range(TERMS)
         for short, part in parts
     ]
     return [
         *terms,
-        *(Unknown(f"crosstalk{n}_{short}", "m", f"{part} part of a{n} without motion") for short, part in parts),
+        *(
+            Unknown(f"crosstalk{n}_{short}", "m", f"{part} part of a{n} without motion")
+            for short, part in parts
+        ),
         Unknown(f"gain{n}", "1", f"what is read of a{n} over what there is", 1.0),
         Unknown(f"latency{n}", "rad", f"lag of the electronics at harmonic {n} beyond that of a pure delay"),
     ]
@@ -160,43 +168,45 @@ def undo(
     Notes
     -----
     The terms that mix harmonics are taken to first order of the detector's curvature; what is left is of the order
-    of ``chi^2`` times the signal. Harmonics beyond the third are turned and otherwise left alone.
+    of ``chi^2`` times the signal, and of ``c2`` times the square of what moved the spot. Harmonics beyond the third
+    are turned and otherwise left alone.
     """
     first = read.phasor[1]
-    u = np.abs(first / reference) ** 2
-    chi = values["compression"]
+    square = (first / reference) ** 2
+    u = np.abs(square)
+    chi, gain = values["compression"], values["gain0"]
     weakened = (1.0 - 2.0 * chi * u) / (1.0 - chi)
     higher: dict[int, _Complex] = {}
     for n, a in read.phasor.items():
         if n in HIGHER:
             added = distortion_basis(first, n, reference) @ distortion_of(values, n) + crosstalk_of(values, n)
-            turn = np.exp(1j * values[f"latency{n}"]) / values[f"gain{n}"]
-            higher[n] = (a - added) * turn
+            higher[n] = (a - added) * np.exp(1j * values[f"latency{n}"]) / values[f"gain{n}"]
     mean = moved = None
     if read.mean is not None:
-        shift = values["A0_slope_z"] * np.asarray(height)
-        shift = shift + values["A0_slope_x"] * np.asarray(x) + values["A0_slope_y"] * np.asarray(y)
-        added = (distortion_basis(first, 0, reference) @ distortion_of(values, 0)).real
-        moved = (read.mean - values["A0_offset"] - added) / weakened
+        slopes = values["A0_slope_z"] * np.asarray(height)
+        slopes = slopes + values["A0_slope_x"] * np.asarray(x) + values["A0_slope_y"] * np.asarray(y)
+        bowed = (distortion_basis(first, 0, reference) @ distortion_of(values, 0)).real
+        # all that moved the spot; the electronics come behind the detector
+        moved = (read.mean - values["A0_offset"] - bowed) / weakened / gain
         # slopes are quoted as read at A_ref, where they were measured
-        mean = (moved - shift * (1.0 - chi) / (1.0 - 2.0 * chi)) / values["gain0"]
-    # what a detector without memory mixes, to first order
-    square = (first / reference) ** 2
-    if mean is not None:
-        mixed = chi * (square * np.conj(higher[2])).real if 2 in higher else 0.0
-        mean = mean + mixed / weakened
+        mean = moved - slopes * (1.0 - chi) / (1.0 - 2.0 * chi) / gain
+        if 2 in higher:
+            mean = mean + chi * (square * np.conj(higher[2])).real / weakened
     if 2 in higher:
         second = higher[2]
         if moved is not None:
             second = second + 2.0 * chi * moved * weakened * square
-        bend = 2.0 * distortion_of(values, 2)[0] / reference**2  # c2, as it was before the electronics
-        bend = (bend * np.exp(1j * values["latency2"]) / values["gain2"]).real
+        curvature = 2.0 * distortion_of(values, 2)[0] / reference**2  # c2, as it was before the electronics
+        curvature = (curvature * np.exp(1j * values["latency2"]) / values["gain2"]).real
         if 3 in higher:
-            second, higher[3] = second - bend * higher[3] * np.conj(first), higher[3] - bend * second * first
+            third = higher[3]
+            higher[3] = third - curvature * second * first
+            second = second - curvature * third * np.conj(first)
         higher[2] = second / weakened
     if 3 in higher:
         higher[3] = higher[3] / weakened
-    turned = {1: first * (1.0 - chi) / (1.0 - chi * u)} | {n: a for n, a in read.phasor.items() if n > 1} | higher
+    rest = {n: a for n, a in read.phasor.items() if n > 1}
+    turned = {1: first * (1.0 - chi) / (1.0 - chi * u)} | rest | higher
     eps = values["phi1_offset"]
     return Signals(mean, {n: a * np.exp(1j * n * eps) for n, a in sorted(turned.items())})
 
@@ -214,7 +224,9 @@ def probe_with(probe: Probe, values: Mapping[str, float]) -> Probe:
         *(replace(mode, stiffness=mode.stiffness * factor) for mode in others),
     )
     static = probe.cantilever.static_stiffness
-    lever = Cantilever(modes, static * factor if static is not None else None, probe.cantilever.static_slope_ratio)
+    lever = Cantilever(
+        modes, static * factor if static is not None else None, probe.cantilever.static_slope_ratio
+    )
     radius = probe.tip.radius
     return replace(
         probe,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +16,11 @@ from overtone.contact.models import contact_model, models
 from overtone.contact.parameters import DISTANCE, POISSON_RATIO
 from overtone.errors import InversionError
 from overtone.harmonics import UNDETERMINED, energy, far_phase, read_receptance, regime, to_force_harmonics
+from overtone.instrument.calibration import Calibration
+from overtone.instrument.correct import calibration_of
 from overtone.instrument.noise import complete_noise
+from overtone.instrument.shared import shared_forces
+from overtone.instrument.signals import Positions, Signals, positions, signals_of
 from overtone.inversion import least_squares
 from overtone.inversion.linear import Contact
 from overtone.inversion.profile import CHI2_90, CHI2_999, modulus_range
@@ -105,10 +110,10 @@ def map_properties(
 
     Notes
     -----
-    The linearised uncertainty is itself a lower bound: far from the minimum the valley bends. It assumes
-    noise that differs from pixel to pixel; errors shared by the scan (1 pm of A0, 1 degree of phase) add to
-    it and do not average out. The range of moduli holds noise only, too: the model's own error, of which the bare
-    cosine of eq 10 alone is 1 to 6 % of the modulus, comes on top.
+    The linearised uncertainty is itself a lower bound: far from the minimum the valley bends. Errors that the whole
+    scan shares (1 pm of A0, 1 degree of phase) count in it, and in the range of moduli, where the scan was corrected with a
+    calibration (`overtone.correct`); they do not average out over pixels. Without one both hold noise only. The model's own
+    error, of which the bare cosine of eq 10 alone is 1 to 6 % of the modulus, comes on top.
     """
     if method not in METHODS:
         raise InversionError("unknown method", expected=", ".join(METHODS), got=repr(method))
@@ -159,6 +164,8 @@ def map_properties(
         1.0 - poisson_ratio**2,
         math.sqrt(radius),
     )
+    calibration = calibration_of(observables)
+    shared = _Shared.of(observables, calibration, orders) if calibration is not None else None
     best = np.full((count, n), math.nan)
     residual, amplification = np.full(count, math.nan), np.full(count, math.nan)
     uncertainty, spread = np.full(count, math.nan), np.full(count, math.nan)
@@ -181,6 +188,8 @@ def map_properties(
         residual[pixels] = pick(norm, chosen, 0)[0]
         amplification[pixels] = np.linalg.norm(gain, axis=1)
         errors = _force_errors({k: v[usable] for k, v in observed.items()}, orders, probe, sigma)
+        if shared is not None:
+            errors = np.concatenate([errors, shared.forces(pixels)], axis=-1)
         relative = errors / abs(F)[..., None]
         uncertainty[pixels] = np.linalg.norm(np.einsum("pi,pij->pj", gain, relative), axis=1)
         spread[pixels] = np.ptp(solution[..., 0], axis=0)
@@ -203,8 +212,12 @@ def map_properties(
         # The scan is coarser than the narrowest solutions: the fit's own neighbourhood belongs to the range.
         reach = uncertainty[pixels, None] * np.sqrt(_LEVELS)
         found = best[pixels, :1]
-        low[pixels] = np.clip(np.fmin(softest, found - reach), lower[0], upper[0])
-        high[pixels] = np.clip(np.fmax(stiffest, found + reach), lower[0], upper[0])
+        softest, stiffest = np.fmin(softest, found - reach), np.fmax(stiffest, found + reach)
+        if shared is not None:  # E* goes as 1/sqrt(R)
+            tip = np.sqrt(_LEVELS) * 0.5 * shared.calibration.error("radius")
+            softest, stiffest = found - np.hypot(found - softest, tip), found + np.hypot(stiffest - found, tip)
+        low[pixels] = np.clip(softest, lower[0], upper[0])
+        high[pixels] = np.clip(stiffest, lower[0], upper[0])
         status[pixels] = _judge(
             pick(outcome, chosen, 0)[0],
             residual[pixels],
@@ -258,6 +271,34 @@ def map_properties(
         noise=sigma,
         noise_stated=sorted(noise or {}),
     )
+
+
+class _Shared(NamedTuple):
+    """What a calibration leaves uncertain, for the pixels of a scan, flat."""
+
+    calibration: Calibration
+    signals: Signals
+    where: Positions
+    orders: tuple[int, ...]
+
+    @classmethod
+    def of(cls, observables: xr.Dataset, calibration: Calibration, orders: tuple[int, ...]) -> _Shared:
+        """Return it for a corrected scan."""
+        signals, where = signals_of(observables), positions(observables)
+        flat = Signals(
+            signals.mean.ravel() if signals.mean is not None else None,
+            {n: a.ravel() for n, a in signals.phasor.items()},
+        )
+        return cls(calibration, flat, Positions(*(part.ravel() for part in where)), orders)
+
+    def forces(self, pixels: npt.NDArray[np.intp]) -> npt.NDArray[np.float64]:
+        """Return what each shared error does to the conservative harmonics of some pixels (pixel, harmonic, source)."""
+        signals, where = self.signals, Positions(*(part[pixels] for part in self.where))
+        chosen = Signals(
+            signals.mean[pixels] if signals.mean is not None else None,
+            {n: a[pixels] for n, a in signals.phasor.items()},
+        )
+        return shared_forces(chosen, self.calibration, self.orders, **where._asdict())[0]
 
 
 def undetermined_properties(observables: xr.Dataset, model: str, reason: str) -> xr.Dataset:

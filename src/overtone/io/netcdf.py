@@ -26,8 +26,8 @@ _CLASSIC = b"CDF"
 # ignores what follows its own end and cuts it off when another program changes the file.
 _SEAL = b"\novertone blake2b "
 _DIGEST_SIZE = 32
-_LENGTHS = ("y", "x", "z")
-_KNOWN_DIMS = {"y", "x", "z", "setpoint", "scan", "point"}
+_AXES = {"y": "m", "x": "m", "z": "m", "time": "s"}
+_KNOWN_DIMS = {*_AXES, "setpoint", "scan", "point"}
 _DIRECTIONS = ("trace", "retrace", "approach", "retract")
 # Deflate cannot shrink data more than this; whoever claims more has a damaged header.
 _LARGEST_RATIO = 1100
@@ -180,7 +180,7 @@ def read(path: Path) -> Recording:
     if not usable:
         raise FileFormatError(
             f"{path.name} holds no channel",
-            expected="arrays of floats over y and x, z or point",
+            expected="arrays of floats over y and x, z, time or point",
             got=_listed({name: array.dims for name, array in dataset.data_vars.items()}) or "no variables",
             hint="a file that overtone saved, or a netCDF file with these dimension names",
         )
@@ -344,12 +344,15 @@ def _coordinates(
             continue
         values = dataset[name].values.astype(np.float64)
         stated = str(dataset[name].attrs.get("units", "")).strip()
-        known = to_si(stated) if stated else (1.0, "m" if name in _LENGTHS else "")
-        if known is None or (name in _LENGTHS and known[1] != "m"):
-            notes.append(f"coordinate {name}: {stated!r} is no length, so it was left out")
+        unit = _AXES.get(name)
+        known = to_si(stated) if stated else (1.0, unit or "")
+        if known is None or unit not in (None, known[1]):
+            kind = "time" if unit == "s" else "length"
+            notes.append(f"coordinate {name}: {stated!r} is no {kind}, so it was left out")
             continue
-        if name in _LENGTHS and not stated:
-            notes.append(f"coordinate {name}: the file states no unit; metres were assumed")
+        if unit is not None and not stated:
+            assumed = "seconds" if unit == "s" else "metres"
+            notes.append(f"coordinate {name}: the file states no unit; {assumed} were assumed")
         coords[name] = values * known[0]
     return coords
 

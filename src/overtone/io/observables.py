@@ -36,6 +36,12 @@ from overtone.units import format_quantity
 _LOCKED_PHASE = 0.05
 _FLAT_AMPLITUDE = 0.07
 _PRODUCED = 0.05  # share of the drive force that DISS_1 may fall below zero by a small error of the phase
+_AXES = {
+    "x": ("m", "fast axis"),
+    "y": ("m", "slow axis"),
+    "z": ("m", "height of the base"),
+    "time": ("s", "time"),
+}
 # Settings of a lift pass that differ from those of the main one by more than their digits in the file.
 _SAME_SETTING = 1e-5
 
@@ -126,7 +132,7 @@ def observables_of(recording: Recording, request: Request) -> xr.Dataset:
     reading = _reading(recording, request)
     vendor = vendor_of(recording)
     turn = _turn(recording, vendor, reading.probe, request)
-    coords = _coords(recording)
+    coords = coordinates_of(recording)
     arrays: dict[str, xr.DataArray] = {}
     for name, values in in_si(chosen, request).items():
         if name.startswith("phi"):
@@ -168,13 +174,14 @@ def missing_for_modulus(observables: xr.Dataset) -> str:
     return f"for a modulus this file lacks {first}, or {second}"
 
 
-def _coords(recording: Recording) -> dict[str, xr.DataArray]:
-    names = {"x": "fast axis", "y": "slow axis", "z": "height of the base"}
-    return {
-        dim: xr.DataArray(values, dims=dim, attrs={"units": "m", "long_name": names.get(dim, dim)})
-        for dim, values in recording.coords.items()
-        if dim in recording.dims
-    }
+def coordinates_of(recording: Recording) -> dict[str, xr.DataArray]:
+    """Return the coordinates of a recording with their units."""
+    coords = {}
+    for dim, values in recording.coords.items():
+        if dim in recording.dims:
+            unit, meaning = _AXES.get(dim, ("1", dim))
+            coords[dim] = xr.DataArray(values, dims=dim, attrs={"units": unit, "long_name": meaning})
+    return coords
 
 
 # --- probe and phase ------------------------------------------------------------------------------

@@ -74,10 +74,11 @@ class Recording:
     vendor : str
         Key of the vendor preset that names its channels.
     dims : tuple of str
-        Dimensions of every channel: ``("y", "x")`` for a map, ``("point",)`` for a curve or a table.
+        Dimensions of every channel: ``("y", "x")`` for a map, ``("point",)`` for a curve or a table, ``("time",)``
+        for what was demodulated.
     coords : mapping
-        Coordinate arrays in metres by dimension; absent where the file has none. A curve over ``z`` may have
-        ``time`` [s] as well.
+        Coordinate arrays by dimension, in metres and ``time`` in seconds; absent where the file has none. A curve
+        over ``z`` may have ``time`` as well.
     channels : tuple of Channel
         In the order of the file.
     facts : mapping

@@ -253,7 +253,7 @@ def _warn_saturated(values: Mapping[str, Floats], chosen: Mapping[str, Channel])
         for limit, side in ((np.max, "largest"), (np.min, "smallest")):
             finite = array[np.isfinite(array)]
             end = limit(finite) if finite.size else np.nan
-            if not _is_clipped(array, end, others):
+            if not is_clipped(array, end, others):
                 continue
             record = quantity(name)
             share = float((array == end).sum()) / finite.size
@@ -266,7 +266,7 @@ def _warn_saturated(values: Mapping[str, Floats], chosen: Mapping[str, Channel])
             )
 
 
-def _is_clipped(array: Floats, end: float, others: list[Floats]) -> bool:
+def is_clipped(array: Floats, end: float, others: list[Floats]) -> bool:
     """Tell whether an end of the range is where a converter or an amplifier stopped."""
     at_end = array == end
     count = int(at_end.sum())

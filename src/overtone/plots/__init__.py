@@ -4,16 +4,21 @@ Figures are built without pyplot, so that they need no screen and may be drawn i
 is at the top, light grey is missing data, and a grey hatched veil covers what the data do not determine.
 """
 
+from overtone.plots.calibration import calibration_figure
 from overtone.plots.canvas import png_bytes
 from overtone.plots.categories import draw_flags
+from overtone.plots.correction import correction_figure
 from overtone.plots.curve import curve_figure
 from overtone.plots.figures import energy_figure, forces_figure, observables_figure, properties_figure
 from overtone.plots.histograms import histogram_figure
 from overtone.plots.maps import draw_map
 from overtone.plots.overview import overview_figure
 from overtone.plots.reconstruction import reconstruction_figure
+from overtone.plots.thermal import thermal_figure
 
 __all__ = [
+    "calibration_figure",
+    "correction_figure",
     "curve_figure",
     "draw_flags",
     "draw_map",
@@ -25,4 +30,5 @@ __all__ = [
     "png_bytes",
     "properties_figure",
     "reconstruction_figure",
+    "thermal_figure",
 ]

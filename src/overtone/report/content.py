@@ -4,8 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import xarray as xr
+
+if TYPE_CHECKING:
+    from overtone.instrument.calibration import Calibration
+    from overtone.instrument.gates import Gate
 
 
 @dataclass(frozen=True)
@@ -31,6 +36,29 @@ class Table:
 
 
 @dataclass(frozen=True)
+class Calibrated:
+    """The calibration that a scan was corrected with, and what it rests on.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        As it was made, before the scan.
+    raw, corrected : Dataset or None
+        Its approach curve over ``z`` as read, and out of `overtone.correct`; both or none.
+    far_field : Dataset or None
+        Its readings without a sample.
+    gates : tuple of Gate
+        What it supports, from `overtone.gates` on `calibration_of` the scan, or on itself.
+    """
+
+    calibration: Calibration
+    raw: xr.Dataset | None = None
+    corrected: xr.Dataset | None = None
+    far_field: xr.Dataset | None = None
+    gates: tuple[Gate, ...] = ()
+
+
+@dataclass(frozen=True)
 class Report:
     """Everything a report shows.
 
@@ -52,6 +80,10 @@ class Report:
         In the order to be read.
     findings : tuple of str
         Plain sentences: what was assumed, rejected, or cannot be concluded.
+    before : Dataset or None
+        The scan as the microscope stored it, where ``observables`` were corrected; the same pixels.
+    calibration : Calibrated or None
+        What it was corrected with.
     """
 
     title: str
@@ -63,3 +95,5 @@ class Report:
     materials: tuple[str, ...] = ()
     tables: tuple[Table, ...] = ()
     findings: tuple[str, ...] = ()
+    before: xr.Dataset | None = None
+    calibration: Calibrated | None = None

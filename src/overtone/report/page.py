@@ -17,11 +17,20 @@ from matplotlib.figure import Figure
 from overtone import plots, provenance
 from overtone._version import __version__
 from overtone.io.atomic import atomic_path
-from overtone.report.content import Report
+from overtone.report.content import Report, Table
 from overtone.report.shares import status_shares
 
 _Pairs = tuple[tuple[str, str], ...]
 _SHOWN_ELSEWHERE = ("history", "findings")
+_CURVE = (
+    "Grey: as read; blue: corrected; line: what the fit on the reference says at that amplitude. Z is counted from the "
+    "onset, where the amplitude begins to fall. Readings far above the sample show no more than noise once corrected. "
+    "Without a sample, everything that is read of a higher harmonic comes from the instrument."
+)
+_SCAN = (
+    "Both colour scales of a signal are equally wide, each about its own map. Below: the pixels that tied the scan "
+    "to the approach curve, and medians of the lines over these pixels, less the median of all lines."
+)
 _GREY = "Grey with stripes: the data do not determine the value there. Flat light grey: no data."
 
 
@@ -64,6 +73,7 @@ def render(report: Report) -> str:
     return environment.from_string(source).render(
         report=report,
         figures=list(_pictures(report)),
+        calibration=_calibration(report),
         status=(status_shares(report.properties),) if report.properties else (),
         records=list(_records(report)),
         version=__version__,
@@ -80,6 +90,35 @@ class _Picture:
     source: str
 
 
+@dataclass(frozen=True)
+class _Calibration:
+    """What the page says of a calibration and a correction."""
+
+    source: str
+    findings: tuple[str, ...]
+    tables: tuple[Table, ...]
+    figures: tuple[_Picture, ...]
+
+
+def _calibration(report: Report) -> _Calibration | None:
+    """Return what there is to say of the calibration and the correction, None where there was none."""
+    known = report.calibration
+    figures = []
+    if known is not None and known.raw is not None and known.corrected is not None:
+        figure = plots.calibration_figure(known.raw, known.corrected, known.calibration, known.far_field)
+        figures.append(_picture("Approach curve before and after", figure, _CURVE))
+    if report.before is not None:
+        figure = plots.correction_figure(report.before, report.observables)
+        figures.append(_picture("Scan before and after", figure, _SCAN))
+    if known is None:
+        return _Calibration("", (), (), tuple(figures)) if figures else None
+    from overtone.report.summary import calibration_tables
+
+    return _Calibration(
+        known.calibration.source, known.calibration.findings, calibration_tables(report), tuple(figures)
+    )
+
+
 def _pictures(report: Report) -> Iterator[_Picture]:
     if report.properties:
         yield _picture(
@@ -91,7 +130,8 @@ def _pictures(report: Report) -> Iterator[_Picture]:
     yield _picture(
         "Observables",
         plots.observables_figure(report.observables),
-        "What the microscope recorded; colours run from the 2nd to the 98th percentile in every map.",
+        ("What the microscope recorded" if report.before is None else "Corrected observables")
+        + "; colours run from the 2nd to the 98th percentile in every map.",
     )
     yield _picture(
         "Force harmonics",
@@ -151,6 +191,8 @@ def _records(report: Report) -> Iterator[_Record]:
         datasets["Truth of the simulation"] = report.truth
     known = report.observables
     shown: set[str] = set()
+    # a whole covariance as text: where there is a section on the calibration, that says it better
+    elsewhere = (*_SHOWN_ELSEWHERE, *(("calibration",) if report.calibration is not None else ()))
     for title, dataset in datasets.items():
         first = dataset is known
         past = [] if first else provenance.history(known)
@@ -159,7 +201,7 @@ def _records(report: Report) -> Iterator[_Record]:
         attributes = {
             key: value
             for key, value in dataset.attrs.items()
-            if key not in _SHOWN_ELSEWHERE and (first or _text(known.attrs.get(key)) != _text(value))
+            if key not in elsewhere and (first or _text(known.attrs.get(key)) != _text(value))
         }
         short, long = _laid_out(attributes, shown)
         steps = tuple(_step(entry, shown) for entry in entries[len(past) if continues else 0 :])

@@ -10,13 +10,19 @@ import numpy.typing as npt
 import xarray as xr
 
 from overtone.harmonics import ATTRACTIVE, REPULSIVE, UNDETERMINED
+from overtone.instrument.calibration import Calibration, summary_rows
+from overtone.instrument.correct import calibration_of
+from overtone.instrument.gates import GATE, Gate
+from overtone.instrument.unknowns import UNKNOWNS
 from overtone.inversion.properties import DETERMINED, POOR_RESIDUAL
 from overtone.quantities import quantity
-from overtone.report.content import Table
+from overtone.report.content import Report, Table
 from overtone.units import display_unit, format_quantity
 
 _MAJORITY = 0.5
 _FEW = 0.1  # share of determined pixels below which they are the outliers of the noise
+_TIGHTEST = 3
+_UNITS = {unknown.name: unknown.unit for unknown in UNKNOWNS}
 
 
 def _range(values: npt.NDArray[np.float64], unit: str, low: float, high: float) -> str:
@@ -186,3 +192,113 @@ def truth_properties_table(
                 )
     columns = ("property", "material", "from", "truth", "median", "16 .. 84 % of pixels")
     return Table("Adhesion and indentation by least squares", columns, tuple(rows))
+
+
+def calibration_tables(report: Report) -> tuple[Table, ...]:
+    """Return the unknowns of the calibration of a report and what it supports; nothing where it has none."""
+    if report.calibration is None:
+        return ()
+    left = calibration_of(report.observables)
+    tables = [unknown_table(report.calibration.calibration, left)]
+    if report.calibration.gates:
+        tables.append(gate_table(report.calibration.gates, left or report.calibration.calibration))
+    return tuple(tables)
+
+
+def unknown_table(calibration: Calibration, left: Calibration | None = None) -> Table:
+    """Return what was learnt of an instrument, and what of it was applied to a scan.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        As it was made.
+    left : Calibration, optional
+        That of the corrected scan (`overtone.calibration_of`), which has drifted, and was anchored.
+    """
+    material = calibration.reference.name if calibration.reference is not None else ""
+    note = (
+        f"A_ref is {format_quantity(calibration.amplitude, 'm', 4)}. Errors are standard deviations, correlated with "
+        "each other: the whole covariance is in the calibration."
+    )
+    if not material:
+        note += " Without a reference gains and latency are not known."
+    columns: tuple[str, ...] = ("unknown", f"calibrated on {material}" if material else "calibrated", "error")
+    rows: tuple[tuple[str, ...], ...] = tuple(summary_rows(calibration))
+    if left is not None:
+        columns = (*columns, "applied to the scan", "error left")
+        applied = {label: (value, error) for label, value, error in summary_rows(left)}
+        known = {label: (value, error) for label, value, error in summary_rows(calibration)}
+        rows = tuple(
+            (label, *known.get(label, ("-", "-")), *applied.get(label, ("-", "-")))
+            for label in dict.fromkeys([*known, *applied])
+        )
+        note += (
+            " Between calibration and scan zeros, phase and drive drift, which widens their errors; reference and lift "
+            "pass narrow them again. Stiffness, Q, free amplitude and radius were put into the probe of the scan, from "
+            "which their rest is counted."
+        )
+    return Table("The instrument", columns, rows, note)
+
+
+def gate_table(gates: Sequence[Gate], calibration: Calibration) -> Table:
+    """Return what a calibration supports, material by material, and which unknowns stand in the way.
+
+    Parameters
+    ----------
+    gates : sequence of Gate
+        From `overtone.gates`.
+    calibration : Calibration
+        The one they were asked of: its errors say which tolerance is the tightest.
+    """
+    rows = []
+    for gate in gates:
+        worst = sorted(gate.tolerance, key=lambda name: -calibration.error(name) / gate.tolerance[name])
+        limits = (
+            f"{name.replace('_', ' ')} to {_amount(gate.tolerance[name], name)} "
+            f"(is {_amount(calibration.error(name), name)})"
+            for name in worst[:_TIGHTEST]
+            if math.isfinite(gate.tolerance[name])
+        )
+        rows.append(
+            (
+                gate.material,
+                format_quantity(gate.modulus, "Pa"),
+                f"{gate.setpoint:.3g}",
+                gate.verdict,
+                _log_error(gate.absolute_error),
+                _log_error(gate.relative_error),
+                "; ".join(limits),
+            )
+        )
+    return Table(
+        "What the calibration supports",
+        (
+            "material",
+            "modulus",
+            "A1/A1far",
+            "supported",
+            "error of ln E",
+            "of its ratio",
+            "tightest tolerances",
+        ),
+        tuple(rows),
+        note="absolute: a modulus. relative: its ratio to the reference in the scan. contrast: neither. The limit is "
+        f"an error of ln E of {GATE:g} from what all pixels share, which no averaging lessens; far beyond 1 its size "
+        "says only that nothing is determined. Tolerances: what an unknown alone would have to be known to for a "
+        "modulus, and is known to, in the three that are worst.",
+    )
+
+
+def _amount(value: float, name: str) -> str:
+    """Write an amount of an unknown; gains and factors in percent."""
+    unit = _UNITS[name]
+    if unit != "1" or name.startswith("A0_slope"):
+        return format_quantity(value, unit, 3)
+    return f"{100.0 * value:.3g} %"
+
+
+def _log_error(error: float) -> str:
+    """Write an error of ln E, which may be absent, or beyond all meaning."""
+    if math.isnan(error):
+        return "-"
+    return f"{error:.2g}" if error < 10.0 else f"{error:.0f}"

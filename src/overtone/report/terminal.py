@@ -41,7 +41,11 @@ def print_report(report: Report, console: Console | None = None) -> None:
         console.print()
         console.print(Text("Findings", style="bold"), width=width)
         console.print(_findings(report.findings), width=width)
-    for table in report.tables:
+    if report.calibration is not None and report.calibration.calibration.findings:
+        console.print()
+        console.print(Text("Findings of the calibration", style="bold"), width=width)
+        console.print(_findings(report.calibration.calibration.findings), width=width)
+    for table in (*report.tables, *_calibration_tables(report)):
         console.print()
         console.print(_table(table, width), width=width)
         if table.note:
@@ -49,6 +53,14 @@ def print_report(report: Report, console: Console | None = None) -> None:
     if report.properties:
         console.print()
         console.print(_table(status_shares(report.properties), width), width=width)
+
+
+def _calibration_tables(report: Report) -> tuple[Table, ...]:
+    if report.calibration is None:
+        return ()
+    from overtone.report.summary import calibration_tables  # brings the contact models with it
+
+    return calibration_tables(report)
 
 
 def _findings(findings: tuple[str, ...]) -> RichTable:
