@@ -55,10 +55,10 @@ if TYPE_CHECKING:
     from overtone.io.netcdf import load as load
     from overtone.io.netcdf import save as save
     from overtone.io.observables import open_scan as open_scan
+    from overtone.io.quadratures import from_quadratures as from_quadratures
+    from overtone.io.quadratures import read_quadratures as read_quadratures
     from overtone.io.registry import read_channels as read_channels
     from overtone.io.spectrum import read_spectrum as read_spectrum
-    from overtone.io.traces import from_quadratures as from_quadratures
-    from overtone.io.traces import read_quadratures as read_quadratures
     from overtone.io.traces import read_trace as read_trace
     from overtone.presets import preset as preset
     from overtone.probe import Probe as Probe
@@ -83,7 +83,7 @@ _HOME = {
     "fit_thermal": "instrument.thermal",
     "force": "contact.evaluate",
     "force_harmonics": "contact.evaluate",
-    "from_quadratures": "io.traces",
+    "from_quadratures": "io.quadratures",
     "gates": "instrument.gates",
     "hold_amplitude": "dynamics.hold",
     "lever_near_surface": "instrument.surface",
@@ -101,7 +101,7 @@ _HOME = {
     "preset": "presets",
     "probe_of": "readings",
     "read_channels": "io.registry",
-    "read_quadratures": "io.traces",
+    "read_quadratures": "io.quadratures",
     "read_spectrum": "io.spectrum",
     "read_trace": "io.traces",
     "reconstruct_force": "inversion.reconstruction",

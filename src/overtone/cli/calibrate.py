@@ -8,7 +8,6 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
 
 from overtone.cli.options import ScanOptions, reading_arguments, with_radius
 from overtone.errors import CalibrationError, OvertoneError
@@ -138,15 +137,12 @@ def _draw(raw: Any, calibration: Any, path: Path, ladder: Any) -> Path:
 
 
 def _print(console: Console, file: Path, calibration: Any, setpoint: float) -> None:
-    from overtone.instrument.calibration import summary_rows
     from overtone.instrument.gates import gates
+    from overtone.report.summary import gate_table, unknown_table
+    from overtone.report.terminal import print_table
 
-    table = Table(title=f"Calibration from {escape(file.name)}")
-    for heading in ("unknown", "value", "standard error"):
-        table.add_column(heading, overflow="fold")
-    for row in summary_rows(calibration):
-        table.add_row(*map(escape, row))
-    console.print(table)
+    console.print(f"[bold]Calibration from {escape(file.name)}[/]")
+    print_table(unknown_table(calibration), console)
     for sentence in calibration.findings:
         console.print(f"- {sentence}", markup=False, highlight=False, soft_wrap=True)
     if calibration.reference is None:
@@ -154,13 +150,8 @@ def _print(console: Console, file: Path, calibration: Any, setpoint: float) -> N
     try:
         supported = gates(calibration, setpoint=setpoint)
     except CalibrationError as error:
-        console.print(
-            f"- what it supports cannot be told: {escape(str(error))}", highlight=False, soft_wrap=True
-        )
+        console.print(f"- what it supports cannot be told: {error}", markup=False, highlight=False, soft_wrap=True)
         return
+    print_table(gate_table(supported, calibration), console)
     for gate in supported:
-        console.print(
-            f"- {gate.material} at A1/A1far {setpoint:g}: [bold]{gate.verdict}[/]; {escape(gate.reason)}",
-            highlight=False,
-            soft_wrap=True,
-        )
+        console.print(f"- {gate.material}: {gate.verdict}; {gate.reason}", markup=False, highlight=False, soft_wrap=True)

@@ -75,7 +75,7 @@ def map_scan(
     _check_paths(file, output, report)
     _check_request(model, method, harmonics, poisson_ratio)
     sigma = parse_noise(noise)
-    observables, before = _opened(file, scan, calibration, reference_area, lift)
+    observables, correction = _opened(file, scan, calibration, reference_area, lift)
     observables, sigma = _with_noise_of_the_pair(file, scan, observables, sigma)
     energies = map_energy(observables, probe_of(observables), noise=sigma)
     with progress_bar() as update:
@@ -102,6 +102,7 @@ def map_scan(
         properties=properties,
         tables=tuple(tables),
         findings=tuple(provenance.findings(observables)),
+        **correction,
     )
     merged = observables.merge(energies.drop_attrs(deep=False))
     if result is not None:
@@ -124,8 +125,8 @@ def map_scan(
 
 def _opened(
     file: Path, scan: ScanOptions, calibration: Path | None, reference_area: str | None, lift: bool
-) -> tuple[Any, Any]:
-    """Return the scan, corrected where there is a calibration, and what it was before."""
+) -> tuple[Any, dict[str, Any]]:
+    """Return the scan, corrected where there is a calibration, and what a report says of that."""
     if calibration is None:
         for option, given in (("--reference-area", reference_area), ("--lift", lift)):
             if given:
@@ -134,30 +135,26 @@ def _opened(
                     expected="a calibration",
                     hint="--calibration calibration.toml",
                 )
-        return open_with(file, scan), None
+        return open_with(file, scan), {}
     from overtone import provenance
     from overtone.errors import CalibrationError
     from overtone.instrument.calibration import load_calibration
     from overtone.instrument.correct import calibration_of, correct
     from overtone.instrument.gates import gates
+    from overtone.report.content import Calibrated
 
     record = load_calibration(calibration)
     before = open_with(file, scan, probe=record.probe)
     nap = open_with(file, scan, probe=record.probe, lift=True) if lift else None
     after = correct(before, record, reference=_area(reference_area), lift=nap)
-    left = calibration_of(after)
-    if left is None or left.reference is None:
-        return after, before
-    setpoint = float(after["A1"].mean()) / left.probe.drive.free_amplitude
-    try:
-        verdicts = [
-            f"{gate.material}: {gate.verdict}; {gate.reason}" for gate in gates(left, setpoint=setpoint)
-        ]
-    except CalibrationError as error:
-        verdicts = [f"what the calibration supports cannot be told: {error}"]
-    return provenance.add_finding(
-        after, *(f"Supported by the calibration, {verdict}." for verdict in verdicts)
-    ), before
+    left, supported = calibration_of(after), ()
+    if left is not None and left.reference is not None:
+        setpoint = float(after["A1"].mean()) / left.probe.drive.free_amplitude
+        try:
+            supported = gates(left, setpoint=setpoint)
+        except CalibrationError as error:
+            after = provenance.add_finding(after, f"What the calibration supports cannot be told: {error}")
+    return after, {"before": before, "calibration": Calibrated(record, gates=supported)}
 
 
 def _area(text: str | None) -> Any:

@@ -35,7 +35,8 @@ _N_MAX = 6  # A2 to 1e-4, far below any noise
 _NANO = 1e-9
 # deep ones count by their logarithm: along E the valley is then straight, delta as E^(-2/3)
 _DEPTH = 0.05e-9
-_STEPS, _SETTLED = 100, 2e-5  # of a sum of squares of about the number of data
+_ROUNDS, _STEPS = 10, 12  # of a search, and steps in each
+_SETTLED = 0.02  # of half of chi-squared, gained in a round
 _LOST = 1e6  # residual of a state that does not converge
 
 
@@ -110,7 +111,7 @@ class Fit:
     zero : float
         What the heights are off: Z = height - zero [m].
     converged : bool
-        Whether the search ended by itself.
+        Whether the search had settled when it ended.
     """
 
     names: tuple[str, ...]
@@ -344,15 +345,15 @@ def fit_approach(
         trial = least_squares(problem.residuals, start, jac=problem.jacobian, method="lm", max_nfev=8)
         if best is None or trial.cost < best.cost:
             best = trial
-    result = least_squares(
-        problem.residuals,
-        best.x,
-        jac=problem.jacobian,
-        method="lm",
-        max_nfev=_STEPS,
-        xtol=1e-6,
-        ftol=_SETTLED,
-    )
+    result, converged = best, False
+    for _ in range(_ROUNDS):
+        before = result.cost
+        result = least_squares(
+            problem.residuals, result.x, jac=problem.jacobian, method="lm", max_nfev=_STEPS
+        )
+        converged = before - result.cost < _SETTLED
+        if converged:
+            break
     p = result.x
     J = problem.jacobian(p)
     inverse = np.linalg.pinv(J.T @ J, hermitian=True)
@@ -385,7 +386,7 @@ def fit_approach(
         data.size - problem.points - len(problem.properties) - 1,
         predicted,
         zero,
-        bool(result.success),
+        converged,
     )
 
 

@@ -17,7 +17,7 @@ from overtone.instrument.calibration import Calibration, ReferenceMaterial, join
 from overtone.instrument.curve_parts import CurveParts, binned, taken
 from overtone.instrument.far_field import FarField
 from overtone.instrument.signals import Signals, in_the_frame_of_the_first
-from overtone.instrument.unknowns import HIGHER, probe_with, undo, wrapped
+from overtone.instrument.unknowns import HIGHER, distortion_of, probe_with, undo, wrapped
 from overtone.probe import Probe, required_radius
 
 _Floats = npt.NDArray[np.float64]
@@ -28,6 +28,9 @@ _FEWEST_CONTACT = 6
 _BAD_FIT = 1.5  # of chi-squared over its freedom
 _LEAST_GAIN = 0.2
 _HOPELESS = 30.0
+_FOLLOWED = (
+    1e-3  # of what the detector adds at the free amplitude: so closely its bend is followed down the curve
+)
 
 
 class Setting(NamedTuple):
@@ -74,6 +77,10 @@ def calibrated_on(
     # what shakes the phase is a vector of a size, and turns a small amplitude farther
     noise["phi1"] = noise["phi1"] * amplitude / np.abs(signals.phasor[1])
     noise["height"] = setting.height_noise
+    for n in signals.orders:
+        if n != 1 and f"A{n}" in noise:
+            added = float(abs(distortion_of(values, n)[0]))
+            noise[f"A{n}"] = np.hypot(noise[f"A{n}"], _FOLLOWED * added)
     kept = {n: a for n, a in signals.phasor.items() if n == 1 or f"gain{n}" in names}
     curve = Curve(Signals(signals.mean, kept), height, noise)
     fit = fit_approach(

@@ -44,15 +44,20 @@ def reference_pixels(scan: xr.Dataset, chosen: xr.DataArray | Sequence[float]) -
                 expected=str(dict(like.sizes)),
                 got=str(dict(chosen.sizes)),
             )
-        mask: _Mask = np.asarray(chosen.transpose(*like.dims).values).astype(bool)
+        # NaN marks nothing
+        mask: _Mask = np.nan_to_num(np.asarray(chosen.transpose(*like.dims).values, dtype=float)) != 0.0
     else:
-        if len(chosen) != 4 or not np.isfinite(np.asarray(chosen, dtype=float)).all():
+        try:
+            corners = np.asarray(chosen, dtype=float)
+        except (TypeError, ValueError):
+            corners = np.empty(0)
+        if corners.shape != (4,) or not np.isfinite(corners).all():
             raise CalibrationError(
-                "a rectangle is four numbers", expected="x0, y0, x1, y1 [m]", got=str(chosen)
+                "a rectangle is four numbers", expected="x0, y0, x1, y1 [m]", got=repr(chosen)
             )
         if not {"x", "y"} <= set(scan.coords):
             raise CalibrationError("the scan has no coordinates", expected="x and y [m]", hint="a mask")
-        x0, y0, x1, y1 = (float(v) for v in chosen)
+        x0, y0, x1, y1 = (float(v) for v in corners)
         x, y = scan["x"].broadcast_like(like), scan["y"].broadcast_like(like)
         inside = (x >= min(x0, x1)) & (x <= max(x0, x1)) & (y >= min(y0, y1)) & (y <= max(y0, y1))
         mask = np.asarray(inside.transpose(*like.dims).values)
@@ -93,7 +98,7 @@ def find_reference(
     noise = np.array([math.hypot(_neighbour_noise(off[name]), drift.get(name, 0.0)) for name in names])
     width = np.array([shared[name] for name in names])
     scaled = points / noise
-    allowed = np.hypot(width, noise) / noise
+    allowed = np.sqrt(1.0 + (width / noise) ** 2)
     near = known & (np.abs(scaled) < _NEAR * allowed).all(axis=1)
     least = max(_FEWEST, math.ceil(_SHARE * known.sum()))
     if int(near.sum()) < least:

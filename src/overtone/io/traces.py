@@ -16,8 +16,6 @@ import xarray as xr
 
 from overtone.errors import ChannelError, FileFormatError, UnitError
 from overtone.io import netcdf
-from overtone.io.quadratures import from_quadratures as from_quadratures
-from overtone.io.quadratures import read_quadratures as read_quadratures
 from overtone.io.recording import Channel
 from overtone.io.registry import read_channels
 from overtone.io.si import to_si

@@ -121,8 +121,14 @@ def property_table(label: str, result: xr.Dataset) -> Table:
             "5 .. 95 %, every pixel (not to be quoted)",
         ),
         tuple(rows),
-        note=f"{note} Intervals hold noise only. {reason}".strip(),
+        note=f"{note} {_held(result)} {reason}".strip(),
     )
+
+
+def _held(result: xr.Dataset) -> str:
+    if "calibration" in result.attrs:
+        return "Intervals hold noise and what the calibration leaves uncertain for the whole scan."
+    return "Intervals hold noise only."
 
 
 def truth_table(properties: Mapping[str, xr.Dataset], truth: xr.Dataset, materials: tuple[str, ...]) -> Table:

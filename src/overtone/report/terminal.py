@@ -46,13 +46,19 @@ def print_report(report: Report, console: Console | None = None) -> None:
         console.print(Text("Findings of the calibration", style="bold"), width=width)
         console.print(_findings(report.calibration.calibration.findings), width=width)
     for table in (*report.tables, *_calibration_tables(report)):
-        console.print()
-        console.print(_table(table, width), width=width)
-        if table.note:
-            console.print(Padding(_plain(table.note, "italic"), (0, 0, 0, 1)), width=width)
+        print_table(table, console)
     if report.properties:
         console.print()
         console.print(_table(status_shares(report.properties), width), width=width)
+
+
+def print_table(table: Table, console: Console) -> None:
+    """Print a table with its note, as wide as the console and its words allow."""
+    width = min(console.width, _WIDEST)
+    console.print()
+    console.print(_table(table, width), width=width)
+    if table.note:
+        console.print(Padding(_plain(table.note, "italic"), (0, 0, 0, 1)), width=width)
 
 
 def _calibration_tables(report: Report) -> tuple[Table, ...]:
