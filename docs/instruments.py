@@ -28,6 +28,7 @@ import overtone as ot
 from overtone.harmonics import far_phase
 from overtone.instrument.curve_parts import split_curve
 from overtone.instrument.instrument import Instrument, free_response, noise_of, readings
+from overtone.instrument.lockin import NOISE_WIDTH
 from overtone.instrument.photodiode import SplitDiode, observables_of, read_through
 from overtone.instrument.signals import Signals, signals_of, with_signals
 from overtone.instrument.trace import lock_in, sample_trace
@@ -362,8 +363,8 @@ def alone(case: Case) -> Signals:
 
 
 def bandwidth(case: Case) -> float:
-    """Return the noise bandwidth of the lock-in [Hz]: of a squared Hann window it is 35/36 over its length."""
-    return case.instrument.bandwidth if case.diode is None else 35.0 / 36.0 / case.duration
+    """Return the noise bandwidth of the lock-in [Hz]."""
+    return case.instrument.bandwidth if case.diode is None else NOISE_WIDTH / case.duration
 
 
 def thermal(case: Case) -> dict[str, float]:

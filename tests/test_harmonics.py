@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -175,6 +176,37 @@ def test_acceleration_form_converges_faster_than_the_plain_sum() -> None:
     plain = Cantilever(full.cantilever.modes[:2])
     error = [abs(complex(tip_receptance(c, frequency)) / best - 1) for c in (short, plain)]
     assert error[0] < 0.05 * error[1]
+
+
+def test_a_mean_with_a_static_sensitivity_is_what_the_tip_does() -> None:
+    """Calibrated on a force curve, the slope at rest is worth the displacement at rest; all else is as it was."""
+    dynamic = beam("slope")
+    static = replace(dynamic, detector=Detector("slope", "static"))
+    assert complex(read_receptance(static, 0.0)) == complex(tip_receptance(static.cantilever, 0.0))
+    ratio = complex(read_receptance(dynamic, 0.0)) / complex(read_receptance(static, 0.0))
+    assert ratio.real == pytest.approx(1.5 / 1.3765, rel=1e-4, abs=0)
+    assert far_phase(static) == far_phase(dynamic)
+    frequencies = np.array([0.0, 1.0, 161.8e3, 2 * 161.8e3])
+    here, there = read_receptance(dynamic, frequencies), read_receptance(static, frequencies)
+    np.testing.assert_array_equal(here[1:], there[1:])
+    assert there[0] == complex(read_receptance(static, 0.0))
+    # one that reads displacement has nothing to choose
+    plain = beam("displacement")
+    other = replace(plain, detector=Detector("displacement", "static"))
+    np.testing.assert_array_equal(read_receptance(plain, frequencies), read_receptance(other, frequencies))
+
+
+def test_a_static_mean_is_turned_into_the_force_by_the_static_stiffness() -> None:
+    static = replace(beam("slope"), detector=Detector("slope", "static"))
+    force = to_force_harmonics(observables(**EXAMPLE), static)["F_cons"]
+    stiffness = static.cantilever.static_stiffness
+    assert stiffness is not None
+    assert float(force.sel(harmonic=0)[0]) == pytest.approx(EXAMPLE["A0"] * stiffness, rel=1e-12, abs=0)
+    dynamic = to_force_harmonics(observables(**EXAMPLE), beam("slope"))["F_cons"]
+    assert float((force / dynamic).sel(harmonic=0)[0]) == pytest.approx(1.0897, abs=1e-4)
+    np.testing.assert_array_equal(force.values[1:], dynamic.values[1:])
+    back = to_observables(to_force_harmonics(observables(A0=1e-10, A1=5e-8, phi1=0.9), static), static)
+    assert float(back["A0"][0]) == pytest.approx(1e-10, rel=1e-9, abs=0)
 
 
 # --- energy and regime ------------------------------------------------------------------------------

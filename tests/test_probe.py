@@ -1,3 +1,4 @@
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -99,3 +100,108 @@ def test_the_radius_has_no_default() -> None:
     assert probe.tip.radius is None
     assert "radius" not in format_probe(probe)
     assert parse_probe(format_probe(replace(probe, tip=Tip(radius=2e-8)))).tip.radius == 2e-8
+
+
+# --- the sensitivity of the mean ------------------------------------------------------------------
+
+
+def test_the_mean_is_calibrated_as_the_amplitudes_unless_stated() -> None:
+    assert Detector().mean_sensitivity == "dynamic"
+    assert parse_probe(TEXT).detector == Detector("displacement", "dynamic")
+    stated = parse_probe(TEXT + '\n[detector]\nkind = "slope"\nmean_sensitivity = "static"\n')
+    assert stated.detector == Detector("slope", "static")
+    assert parse_probe(format_probe(stated)) == stated
+
+
+def test_other_sensitivities_are_refused() -> None:
+    with pytest.raises(ProbeError, match=r"sensitivity of the mean.*'dynamic' or 'static'.*'thermal'"):
+        Detector("slope", "thermal")
+    with pytest.raises(ProbeError, match="sensitivity of the mean"):
+        parse_probe(TEXT + '\n[detector]\nmean_sensitivity = "both"\n')
+    with pytest.raises(ProbeError, match="unknown detector"):
+        Detector("ear")
+
+
+# --- a beam in place of modes ---------------------------------------------------------------------
+
+BEAM = """
+[cantilever.beam]
+stiffness = "16.4 N/m"
+frequency = "161.8 kHz"
+quality_factor = 287
+tip_position = 0.95
+tip_mass = 0.02
+spot_position = 0.9
+
+[drive]
+frequency = "161.8 kHz"
+free_amplitude = "94 nm"
+
+[detector]
+kind = "slope"
+"""
+
+
+def test_a_beam_stands_for_its_modes(tmp_path: Path) -> None:
+    probe = parse_probe(BEAM)
+    assert probe.cantilever == ot.beam_modes(
+        stiffness=16.4,
+        frequency=161.8e3,
+        quality_factor=287.0,
+        tip_position=0.95,
+        tip_mass=0.02,
+        spot_position=0.9,
+    )
+    assert len(probe.cantilever.modes) == 3
+    path = tmp_path / "beam.toml"
+    path.write_text(BEAM, encoding="utf-8")
+    assert ot.load_probe(path) == probe
+    # what is written are the modes, and they are the same
+    assert parse_probe(format_probe(probe)) == probe
+
+
+def test_a_beam_may_state_its_static_stiffness() -> None:
+    probe = parse_probe(BEAM.replace('stiffness = "16.4 N/m"', 'static_stiffness = "15.9 N/m"'))
+    assert probe.cantilever.static_stiffness == pytest.approx(15.9, rel=1e-12, abs=0)
+    plain = parse_probe(BEAM.replace("tip_position = 0.95\ntip_mass = 0.02\nspot_position = 0.9\n", ""))
+    assert plain.cantilever.modes[0].stiffness == pytest.approx(16.4, rel=1e-12, abs=0)
+    assert plain.cantilever.static_slope_ratio == pytest.approx(1.0897, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("change", "messages"),
+    [
+        (('frequency = "161.8 kHz"\nquality', "quality"), ["beam\\] lacks frequency"]),
+        (("quality_factor = 287\n", ""), ["beam\\] lacks quality_factor"]),
+        (("tip_mass", "weight"), ["no quantity 'weight'"]),
+        (('stiffness = "16.4 N/m"\n', ""), ["stiffness"]),
+        (('"16.4 N/m"', '"16.4 nm"'), ["cantilever.beam.stiffness"]),
+        (("tip_mass = 0.02", "tip_mass = -1"), ["tip_mass|tip mass"]),
+        (("tip_mass = 0.02", 'tip_mass = "heavy"'), ["tip_mass"]),
+        (("tip_mass = 0.02", "tip_mass = [1, 2]"), ["tip_mass"]),
+        (("tip_position = 0.95", "tip_position = 1.5"), ["tip_position|tip position|tip"]),
+        (("[drive]\nfrequency", "[cantilever]\nstiffness"), [""]),
+    ],
+)
+def test_beams_that_cannot_be_are_refused(change: tuple[str, str], messages: list[str]) -> None:
+    assert change[0] in BEAM
+    with pytest.raises(ProbeError) as caught:
+        parse_probe(BEAM.replace(change[0], change[1], 1))
+    for message in messages:
+        assert re.search(message, str(caught.value))
+
+
+def test_a_beam_beside_modes_is_refused() -> None:
+    both = BEAM + '\n[[cantilever.modes]]\nstiffness = "16.4 N/m"\nfrequency = "1 kHz"\nquality_factor = 3\n'
+    with pytest.raises(ProbeError, match="either a beam or modes"):
+        parse_probe(both)
+    with pytest.raises(ProbeError, match="is not a table"):
+        parse_probe('cantilever = {beam = 3}\ndrive = {frequency = "1 kHz", free_amplitude = "9 nm"}\n')
+
+
+def test_every_fault_of_a_beam_is_named_at_once() -> None:
+    text = BEAM.replace("quality_factor = 287\n", "").replace("tip_mass", "weight").replace("free_", "")
+    with pytest.raises(ProbeError) as caught:
+        parse_probe(text)
+    for part in ("lacks quality_factor", "'weight'", "lacks free_amplitude"):
+        assert part in str(caught.value)

@@ -8,7 +8,7 @@ import pytest
 import xarray as xr
 
 from overtone.errors import CalibrationError
-from overtone.instrument.reference import find_reference, reference_pixels
+from overtone.instrument.reference import _neighbour_noise, find_reference, reference_pixels
 
 SHAPE = (40, 50)
 
@@ -187,3 +187,13 @@ def test_lost_pixels_do_not_pass() -> None:
     nothing = {name: np.full(SHAPE, math.nan) for name in NOISE}
     with pytest.raises(CalibrationError, match="absent"):
         find_reference(nothing, SHARED, {}, [])
+
+
+def test_noise_is_that_along_the_lines() -> None:
+    """Lines that jump against each other and two materials in each leave it as it is."""
+    off, which = stripes((0.5, NEAR), (0.5, FAR))
+    jumps = np.random.default_rng(1).normal(0.0, 0.5, SHAPE[0])
+    assert _neighbour_noise(off["phi1"] + jumps[:, None]) == pytest.approx(NOISE["phi1"], rel=0.05, abs=0)
+    assert which.max() == 1
+    assert _neighbour_noise(np.full(SHAPE, math.nan)) == math.inf
+    assert _neighbour_noise(np.ones(SHAPE)) > 0.0

@@ -64,10 +64,13 @@ def calibrate_curve(
     """
     from overtone.instrument.calibrate import calibrate
     from overtone.instrument.calibration import save_calibration
+    from overtone.io.atomic import atomic_path
     from overtone.io.curves import open_curve
     from overtone.io.ladder import open_ladder
 
-    material = parse_reference(reference) if reference else None
+    if setpoint is not None and not 0.0 < setpoint < 1.0:
+        raise OvertoneError("--setpoint is A1 over A1far", expected="between 0 and 1", got=f"{setpoint:g}")
+    material = parse_reference(reference) if reference is not None else None
     if not output.parent.is_dir():
         raise OvertoneError(f"the folder {output.parent} does not exist", hint="create it first")
     if output.resolve() == file.resolve() or output.suffix.lower() not in (".toml", ".json"):
@@ -82,18 +85,21 @@ def calibrate_curve(
     console = Console()
     with console.status("fitting the approach curve"):
         calibration = calibrate(raw, probe, reference=material, far_field=ladder)
+    # drawn before anything is written: where that fails nothing is
+    picture = _drawn(raw, calibration, ladder) if plot else None
     save_calibration(calibration, output)
     written = [output]
-    if plot:
-        written.append(_draw(raw, calibration, output.with_suffix(".png"), ladder))
-    _print(console, file, calibration, 0.5 if setpoint is None else setpoint)
+    if picture is not None:
+        written.append(output.with_suffix(".png"))
+        with atomic_path(written[-1]) as temporary:
+            temporary.write_bytes(picture)
+    _print(console, file, raw, calibration, 0.5 if setpoint is None else setpoint)
     for path in written:
         console.print(f"wrote {path}", highlight=False, soft_wrap=True, markup=False)
 
 
 def parse_reference(text: str) -> Any:
     """Return the reference that a text such as "E=2 GPa, nu=0.35" describes."""
-    from overtone.contact.parameters import POISSON_RATIO
     from overtone.instrument.approach_fit import Reference
 
     values: dict[str, Any] = {}
@@ -107,6 +113,8 @@ def parse_reference(text: str) -> Any:
                 got=repr(part.strip()),
             )
         key = _KEYS[name]
+        if key in values:
+            raise OvertoneError(f"--reference gives {name} twice", got=repr(text))
         values[key] = parse_quantity(value, _UNITS[key], f"--reference {name}") if key in _UNITS else value
     if "poisson_ratio" not in values:
         raise OvertoneError(
@@ -114,7 +122,6 @@ def parse_reference(text: str) -> Any:
             expected="nu, which scales a modulus by 1 - nu^2 and has no default",
             hint=f'--reference "{text.strip()}, nu=0.35"',
         )
-    POISSON_RATIO.check(values["poisson_ratio"])
     return Reference(**values)
 
 
@@ -124,34 +131,35 @@ def _probe(raw: Any) -> Any:
     return probe_of(raw)
 
 
-def _draw(raw: Any, calibration: Any, path: Path, ladder: Any) -> Path:
+def _drawn(raw: Any, calibration: Any, ladder: Any) -> bytes:
+    """Return the curve before and after as PNG."""
     from overtone.instrument.correct import correct
-    from overtone.io.atomic import atomic_path
     from overtone.plots import png_bytes
     from overtone.plots.calibration import calibration_figure
 
-    figure = calibration_figure(raw, correct(raw, calibration), calibration, far_field=ladder)
-    with atomic_path(path) as temporary:
-        temporary.write_bytes(png_bytes(figure))
-    return path
+    return png_bytes(calibration_figure(raw, correct(raw, calibration), calibration, far_field=ladder))
 
 
-def _print(console: Console, file: Path, calibration: Any, setpoint: float) -> None:
+def _print(console: Console, file: Path, raw: Any, calibration: Any, setpoint: float) -> None:
+    from overtone.instrument.correct import unsettled_findings
     from overtone.instrument.gates import gates
     from overtone.report.summary import gate_table, unknown_table
     from overtone.report.terminal import print_table
 
     console.print(f"[bold]Calibration from {escape(file.name)}[/]")
     print_table(unknown_table(calibration), console)
-    for sentence in calibration.findings:
+    for sentence in (*unsettled_findings(raw, calibration), *calibration.findings):
         console.print(f"- {sentence}", markup=False, highlight=False, soft_wrap=True)
     if calibration.reference is None:
         return
     try:
         supported = gates(calibration, setpoint=setpoint)
     except CalibrationError as error:
-        console.print(f"- what it supports cannot be told: {error}", markup=False, highlight=False, soft_wrap=True)
+        console.print(
+            f"- what it supports cannot be told: {error}", markup=False, highlight=False, soft_wrap=True
+        )
         return
     print_table(gate_table(supported, calibration), console)
     for gate in supported:
-        console.print(f"- {gate.material}: {gate.verdict}; {gate.reason}", markup=False, highlight=False, soft_wrap=True)
+        sentence = f"- {gate.material}: {gate.verdict}; {gate.reason}"
+        console.print(sentence, markup=False, highlight=False, soft_wrap=True)

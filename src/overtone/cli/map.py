@@ -50,7 +50,7 @@ def map_scan(
         Poisson's ratio of the sample; needed for a modulus, not assumed.
     noise : tuple
         Standard deviation of an observable, for example A0="5 pm"; may be repeated. Unless given, it is told from trace
-        and retrace where the file has both, and an ordinary one is assumed where it has not.
+        and retrace where the file has both and --direction says which is mapped; an ordinary one is assumed elsewhere.
     calibration : Path
         Calibration of the instrument ("overtone calibrate"): the scan is corrected with it first.
     reference_area : str
@@ -144,12 +144,13 @@ def _opened(
     from overtone.report.content import Calibrated
 
     record = load_calibration(calibration)
-    before = open_with(file, scan, probe=record.probe)
+    before = open_with(file, scan, probe=record.probe, keep_offset=True)
     nap = open_with(file, scan, probe=record.probe, lift=True) if lift else None
     after = correct(before, record, reference=_area(reference_area), lift=nap)
-    left, supported = calibration_of(after), ()
+    left = calibration_of(after)
+    supported: tuple[Any, ...] = ()
     if left is not None and left.reference is not None:
-        setpoint = float(after["A1"].mean()) / left.probe.drive.free_amplitude
+        setpoint = float(after["A1"].median()) / left.probe.drive.free_amplitude
         try:
             supported = gates(left, setpoint=setpoint)
         except CalibrationError as error:
@@ -178,10 +179,14 @@ def _area(text: str | None) -> Any:
 def _with_noise_of_the_pair(
     file: Path, scan: ScanOptions, observables: Any, stated: dict[str, float]
 ) -> tuple[Any, dict[str, float]]:
-    """Return the scan and its noise: as stated, or from trace and retrace where the file holds both."""
+    """Return the scan and its noise: as stated, or from trace and retrace where the file holds both.
+
+    The two ways are as stored: what the calibration of a corrected scan says of the gains is divided out.
+    """
     from dataclasses import replace
 
     from overtone import provenance
+    from overtone.instrument.correct import calibration_of
     from overtone.instrument.noise import noise_from_pair
     from overtone.readings import probe_of
 
@@ -190,12 +195,16 @@ def _with_noise_of_the_pair(
         return observables, stated
     try:
         pair = [
-            open_with(file, replace(scan, direction=way), probe=probe_of(observables))
+            open_with(file, replace(scan, direction=way), probe=probe_of(observables), keep_offset=True)
             for way in (scan.direction, other)
         ]
         noise = noise_from_pair(*pair)
     except OvertoneError:  # the other way was not recorded, or not with the same channels
         return observables, stated
+    corrected = calibration_of(observables)
+    if corrected is not None:
+        gains = {f"A{n}": corrected.values[f"gain{n}"] for n in (0, 2, 3)}
+        noise = {name: value / gains.get(name, 1.0) for name, value in noise.items()}
     from overtone.quantities import quantity
     from overtone.units import format_quantity
 

@@ -212,16 +212,20 @@ def reading_arguments(options: ScanOptions) -> dict[str, Any]:
     }
 
 
-def open_with(path: Path, options: ScanOptions, *, probe: Any = None, lift: bool = False) -> Any:
+def open_with(
+    path: Path, options: ScanOptions, *, probe: Any = None, lift: bool = False, keep_offset: bool = False
+) -> Any:
     """Open a scan as the options say and return its observables, the tip radius set.
 
-    ``probe`` stands in where the options name none.
+    ``probe`` stands in where the options name none; ``lift`` and ``keep_offset`` are those of `open_scan`.
     """
     from overtone.io.observables import open_scan
 
     arguments = reading_arguments(options)
     arguments["probe"] = arguments["probe"] or probe
-    observables = open_scan(path, direction=options.direction, lift=lift, **arguments)
+    observables = open_scan(
+        path, direction=options.direction, lift=lift, keep_offset=keep_offset, **arguments
+    )
     return with_radius(observables, options.radius)
 
 

@@ -1,9 +1,9 @@
-"""A scan anchored to its reference material, whose pixels should lie on the approach curve and show what has drifted."""
+"""A scan anchored to its reference material, whose pixels should lie on the approach curve and show what drifted."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -29,8 +29,7 @@ _Mask = npt.NDArray[np.bool_]
 _PREDICTED = 0.005  # relative error of what the fitted curve says of the reference: a curve is a model, too
 _FEWEST = 25  # pixels on the curve
 _ALIKE = 25.0  # neighbours that count as one: they are not independent of each other
-_LEVER_STEP = 1e-3
-_DRIFTING = ("free_amplitude", "quality_factor")
+_DRIFTING = {"free_amplitude": 1e-3, "quality_factor": 1e-3, "resonance": 1e-6}  # steps, relative
 
 
 def reference_mask(
@@ -88,21 +87,27 @@ def level_lines(
     if dims != ("y", "x"):
         findings.append("the scan has no lines, so neither slopes nor a drift of A0 were looked for")
         return read, state
-    usable, gain = mask & np.isfinite(off), state.values["gain0"]
-    # what is left of the present slopes comes on top of them
-    whole = gain * off + state.values["A0_slope_z"] * where.height + state.values["A0_slope_x"] * where.x
-    state = with_slopes(whole, usable, where, state)
-    off = off_the_curve(read, where, state, calibration)["A0"]
-    drift, _ = smooth_lines(off, usable)
+    usable = mask & np.isfinite(off)
     weights = usable.sum(axis=1)
     if not weights.any():
         return read, state
+
+    def as_read(off: _Floats) -> _Floats:  # slopes are quoted as read at A_ref
+        chi = state.values["compression"]
+        return off * state.values["gain0"] * (1.0 - 2.0 * chi) / (1.0 - chi)
+
+    # what is left of the present slopes comes on top of them
+    present = state.values["A0_slope_z"] * where.height + state.values["A0_slope_x"] * where.x
+    state = with_slopes(as_read(off) + present, usable, where, state)
+    off = off_the_curve(read, where, state, calibration)["A0"]
+    drift, error = smooth_lines(as_read(off), usable)
     drift = drift - float(np.average(drift, weights=weights))
+    read, state, rest = levelled(read, drift, error, where, state, calibration.amplitude)
     findings.append(
         "drift of A0 along the slow axis, from the reference in each line: "
-        f"{format_quantity(float(np.ptp(drift)), 'm')}; taken out"
+        f"{format_quantity(float(np.ptp(rest)), 'm')}; taken out"
     )
-    return Signals(read.mean - (drift * gain)[:, None], read.phasor), levelled(state)
+    return read, state
 
 
 def anchored(
@@ -129,11 +134,13 @@ def anchored(
         P = _of_the_lever(pixels, calibration, state.names, names)
         variance = [spread[name] ** 2 + (_PREDICTED * _size(calibration, name)) ** 2 for name in names]
         centre = np.array([float(np.nanmedian(off[name])) for name in names])
-        # off = J (now - start) + (P - J) drift: what the present values have moved already is given back
-        moved = np.array([state.values[name] - start[name] for name in state.names])
-        believed = np.array([prior.values[name] - prior.calibrated[name] for name in state.names])
-        H = J - P
-        state = prior.drifted(J @ moved - centre - H @ believed, H, np.array(variance))
+        # off = J (believed - now) + B (calibrated - start) + P (now - calibrated), linear about what is believed
+        B = _on_the_curve(J, state.names)
+        at, begun, known = (_vector(v, state.names) for v in (state.values, start, prior.calibrated))
+        off_prior = (
+            J @ at - B @ begun - centre - (J - P) @ _vector(prior.values, state.names) + (B - P) @ known
+        )
+        state = prior.compared(off_prior, J - P, B - P, np.array(variance))
     share = 100.0 * float(mask.mean())
     name = calibration.reference.name if calibration.reference else "reference"
     findings.append(
@@ -185,6 +192,19 @@ def _jacobian(
     return J
 
 
+def _vector(values: Mapping[str, float], names: tuple[str, ...]) -> _Floats:
+    return np.array([values[name] for name in names])
+
+
+def _on_the_curve(J: _Floats, names: tuple[str, ...]) -> _Floats:
+    """Return the same derivatives for the approach curve, which was taken at one place of the sample.
+
+    Its height counts from where contact begins; over a curve the error of that slope is nothing.
+    """
+    B: _Floats = J * np.array([0.0 if name.startswith("A0_slope") else 1.0 for name in names])
+    return B
+
+
 def _of_the_lever(
     read: Signals, calibration: Calibration, unknowns: tuple[str, ...], names: tuple[str, ...]
 ) -> _Floats:
@@ -203,11 +223,11 @@ def _of_the_lever(
     for name in set(_DRIFTING) & set(unknowns):
         sides = []
         for sign in (1.0, -1.0):
-            value = calibration.values[name] * (1.0 + sign * _LEVER_STEP)
+            value = calibration.values[name] * (1.0 + sign * _DRIFTING[name])
             probe = probe_with(calibration.probe, {**calibration.values, name: value})
             setpoint = A / probe.drive.free_amplitude
             sides.append(_held(hold_amplitude(probe, material, setpoint=setpoint)) if setpoint < 1.0 else {})
-        step = 2.0 * _LEVER_STEP * calibration.values[name]
+        step = 2.0 * _DRIFTING[name] * calibration.values[name]
         for i, reading in enumerate(names):
             slope = (sides[0].get(reading, math.nan) - sides[1].get(reading, math.nan)) / step
             P[i, unknowns.index(name)] = slope if math.isfinite(slope) else 0.0
@@ -232,10 +252,9 @@ def _drift_error(
     read: Signals, where: Positions, state: State, calibration: Calibration, names: tuple[str, ...]
 ) -> dict[str, float]:
     """Return the standard deviation of each offset from the curve that all pixels share: what may have drifted."""
-    H = _jacobian(read, where, state, calibration, names) - _of_the_lever(
-        read, calibration, state.names, names
-    )
-    both = np.concatenate([-H, H], axis=1)
+    J = _jacobian(read, where, state, calibration, names)
+    P = _of_the_lever(read, calibration, state.names, names)
+    both = np.concatenate([P - _on_the_curve(J, state.names), J - P], axis=1)
     variance = np.einsum("ij,jk,ik->i", both, state.covariance, both)
     return {
         name: math.hypot(math.sqrt(max(float(v), 0.0)), _PREDICTED * _size(calibration, name))

@@ -8,10 +8,9 @@ are the lever's own numbers, so that the covariance of all of them together is a
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -22,53 +21,25 @@ from overtone.dynamics.balance import FOUND
 from overtone.dynamics.indented import indented_states
 from overtone.errors import CalibrationError
 from overtone.harmonics import far_phase, read_receptance
+from overtone.instrument.latent import Problem, search
+from overtone.instrument.material import STARTS, Reference, scale_of
 from overtone.instrument.signals import Signals, in_the_frame_of_the_first
 from overtone.instrument.unknowns import HIGHER, LEVER, probe_with, undo
 from overtone.probe import Probe
 
+__all__ = ["Curve", "Fit", "Reference", "fit_approach"]
+
 _Floats = npt.NDArray[np.float64]
 _Complex = npt.NDArray[np.complex128]
 
-_STEP = 1e-4  # of a prior's width, for differences
+_STEP = 3e-4  # of a prior's width, for differences
 _FARTHEST = 5.0  # of the logarithm of a factor
 _N_MAX = 6  # A2 to 1e-4, far below any noise
 _NANO = 1e-9
 # deep ones count by their logarithm: along E the valley is then straight, delta as E^(-2/3)
 _DEPTH = 0.05e-9
-_ROUNDS, _STEPS = 10, 12  # of a search, and steps in each
-_SETTLED = 0.02  # of half of chi-squared, gained in a round
+_TRIAL, _STEPS = 3, 40  # of a search, to choose a start and to end
 _LOST = 1e6  # residual of a state that does not converge
-
-
-@dataclass(frozen=True)
-class Reference:
-    """The material of an approach curve, as far as it is known beforehand.
-
-    Parameters
-    ----------
-    poisson_ratio : float
-        Of the material; it has no default.
-    modulus : float, optional
-        Young's modulus [Pa]. Without it only gains and offsets that do not depend on it are learnt.
-    modulus_error : float
-        Relative standard deviation of it.
-    adhesion : float, optional
-        Force of adhesion [N].
-    adhesion_error : float
-        Relative standard deviation of it.
-    model : str
-        Contact model, ``dmt`` unless given; one with ``viscosity`` uses DISS_1 as well.
-    name : str
-        What it is called in reports.
-    """
-
-    poisson_ratio: float
-    modulus: float | None = None
-    modulus_error: float = 0.1
-    adhesion: float | None = None
-    adhesion_error: float = 0.3
-    model: str = "dmt"
-    name: str = "reference"
 
 
 @dataclass(frozen=True)
@@ -126,38 +97,6 @@ class Fit:
     converged: bool
 
 
-class _Scale(NamedTuple):
-    """How a property of the reference is searched: by its logarithm, or evenly above a size and so below it."""
-
-    mean: float
-    """Of the prior, in what is searched."""
-    width: float
-    size: float | None = None
-    """Softplus of this size [SI] in place of an exponential."""
-
-    def value(self, p: float) -> float:
-        """Return the property [SI] at p prior widths from the prior's mean."""
-        x = self.mean + self.width * p
-        if self.size is None:
-            return math.exp(min(max(x, -60.0), 60.0))
-        return self.size * (math.log1p(math.exp(-abs(x))) + max(x, 0.0)) + _LEAST_PROPERTY
-
-    def at(self, value: float) -> float:
-        """Return where a property [SI] lies, in prior widths from the prior's mean."""
-        x = math.log(value) if self.size is None else math.log(math.expm1(min(value / self.size, 500.0)))
-        return (x - self.mean) / self.width
-
-
-# an adhesion too small to be seen must not pull at the modulus: even, its posterior is nearly normal down to nothing
-_BROAD = {
-    "modulus": _Scale(math.log(1e9), math.log(20.0)),
-    "adhesion": _Scale(0.0, 20.0, 2e-9),
-    "viscosity": _Scale(math.log(10.0), math.log(20.0)),
-}
-_STARTS = {"modulus": (1e9, 1e10, 1e8), "adhesion": (5e-9, 1e-9, 25e-9), "viscosity": (10.0,)}
-_LEAST_PROPERTY = 1e-15
-
-
 class _Problem:
     """Residuals of a curve and their derivatives; parameters are whitened by their priors."""
 
@@ -180,16 +119,16 @@ class _Problem:
         record = contact_model(reference.model)
         own = [q for q in record.parameters if q.name not in OF_THE_PROBE and q.default is None]
         self.properties = [q.name for q in own if q.name != "poisson_ratio"]
-        strangers = [name for name in self.properties if name not in _BROAD]
+        strangers = [name for name in self.properties if name not in STARTS]
         if strangers or not self.properties:
             raise CalibrationError(
                 f"model {reference.model!r} is not for references",
-                expected="one whose unknowns are " + ", ".join(_BROAD),
+                expected="one whose unknowns are " + ", ".join(STARTS),
                 got=" and ".join(strangers) or "none",
                 hint="dmt, or dmt-viscous",
             )
         self.viscous = "viscosity" in self.properties
-        self.scales = [self._prior(name) for name in self.properties]
+        self.scales = [scale_of(reference, name) for name in self.properties]
         self.points = curve.height.size
         self.orders = [n for n in HIGHER if n in curve.signals.phasor]
         # parameters: instrument and lever, material, zero of the height [nm], indentations over _DEPTH by asinh
@@ -197,12 +136,6 @@ class _Problem:
         self.at_zero = self.at_material + len(self.properties)
         self.at_depth = self.at_zero + 1
         self.model_names = [i for i, name in enumerate(names) if name in LEVER]
-
-    def _prior(self, name: str) -> _Scale:
-        known = getattr(self.reference, name, None)
-        if known is not None:
-            return _Scale(math.log(known), float(getattr(self.reference, f"{name}_error")))
-        return _BROAD[name]
 
     def unpack(self, p: _Floats) -> tuple[dict[str, float], _Floats, float, _Floats]:
         theta = self.mean + self.root @ p[: self.at_material]
@@ -336,25 +269,13 @@ def fit_approach(
     To first order about the best fit. A property that was not stated has a prior that hardly counts: a modulus of 1 GPa
     within a factor of 20, an adhesion evenly up to tens of nanonewtons.
     """
-    from scipy.optimize import least_squares
-
     problem = _Problem(curve, probe, reference, amplitude, names, mean, covariance, neutral, centre_height)
-    best: Any = None
-    for start in _starts(problem):
-        # a few steps tell which valley is worth the rest
-        trial = least_squares(problem.residuals, start, jac=problem.jacobian, method="lm", max_nfev=8)
-        if best is None or trial.cost < best.cost:
-            best = trial
-    result, converged = best, False
-    for _ in range(_ROUNDS):
-        before = result.cost
-        result = least_squares(
-            problem.residuals, result.x, jac=problem.jacobian, method="lm", max_nfev=_STEPS
-        )
-        converged = before - result.cost < _SETTLED
-        if converged:
-            break
-    p = result.x
+    task = Problem(
+        problem.residuals, problem.jacobian, problem.points, problem.at_depth, problem.at_zero, _STEP
+    )
+    # a few steps tell which valley is worth the rest
+    trials = [search(task, start, _TRIAL) for start in _starts(problem)]
+    p, _, converged = search(task, min(trials, key=lambda trial: trial.cost).p, _STEPS)
     J = problem.jacobian(p)
     inverse = np.linalg.pinv(J.T @ J, hermitian=True)
     values, material, zero, depth = problem.unpack(p)
@@ -399,7 +320,7 @@ def _starts(problem: _Problem) -> list[_Floats]:
     axes = [
         (0.0,)
         if getattr(problem.reference, name, None) is not None
-        else [scale.at(value) for value in _STARTS[name]]
+        else [scale.at(value) for value in STARTS[name]]
         for name, scale in zip(problem.properties, problem.scales, strict=True)
     ]
     for shifts in np.array(np.meshgrid(*axes, indexing="ij")).reshape(len(axes), -1).T:

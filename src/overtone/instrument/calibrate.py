@@ -43,6 +43,7 @@ ERRORS: Mapping[str, float] = {
     "quality_factor": 0.02,
     "free_amplitude": 0.003,
     "radius": 0.15,
+    "resonance": 1e-5,
     "gain0": 0.1,
     "gain2": 0.3,
     "gain3": 0.3,
@@ -52,7 +53,8 @@ ERRORS: Mapping[str, float] = {
     "A0_slope_x": 0.005,
     "A0_slope_y": 0.005,
 }
-"""Standard deviations before the curve is looked at: relative for lever, tip and gains, [rad] for phases, [m/m] for slopes."""
+"""Standard deviations before the curve is looked at: relative for lever, tip and gains, [rad] for phases, [m/m] for
+slopes."""
 HEIGHT_NOISE = 0.1e-9
 """Standard deviation of the height of the base [m] where none is stated."""
 _SAME_DRIVE = 1e-3  # relative
@@ -215,8 +217,8 @@ def _saturated(approach: xr.Dataset) -> list[str]:
             if is_clipped(array, end, others):
                 share = 100.0 * float((array == end).sum()) / finite.size
                 sentences.append(
-                    f"{name} is saturated: {share:.3g} % of the curve sit exactly at {format_quantity(end, 'm', 4)}; what lay "
-                    "beyond is lost, and no number here that rests on it can be trusted"
+                    f"{name} is saturated: {share:.3g} % of the curve sit exactly at {format_quantity(end, 'm', 4)}; "
+                    "what lay beyond is lost, and no number here that rests on it can be trusted"
                 )
     return sentences
 
@@ -246,7 +248,7 @@ def _mean_error(sigma: float, parts: CurveParts, free: FreeLever) -> float:
 
 def _unfitted(width: Mapping[str, float], far: FarField) -> dict[str, float]:
     """Return prior standard deviations of what the far field does not tell, for the harmonics that are there."""
-    kept = {"stiffness", "quality_factor", "free_amplitude", "radius", "A0_slope_x", "A0_slope_y"}
+    kept = {"stiffness", "quality_factor", "resonance", "free_amplitude", "radius", "A0_slope_x", "A0_slope_y"}
     kept |= {"gain0"} if "A0_offset" in far.values else set()
     for n in HIGHER:
         if f"crosstalk{n}_re" in far.values:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -26,7 +26,7 @@ _Floats = npt.NDArray[np.float64]
 _FORMAT = 1
 _UNIT = {unknown.name: unknown.unit for unknown in UNKNOWNS}
 _NOISE_UNIT = {"phi1": "rad"}
-_CURVE_UNIT = {"phi1": "rad"}
+_COLUMNS = ("A1", "phi1", "A0", *(f"e{n}_{part}" for n in HIGHER for part in ("re", "im")))
 _ROUNDING = 1e-6  # of a correlation: what decimals in a file may cost
 
 
@@ -203,7 +203,7 @@ def _table(calibration: Calibration) -> dict[str, Any]:
         "names": list(c.names),
         "errors": [_quantity(float(s), _UNIT[name]) for name, s in zip(c.names, spread, strict=True)],
         # one row a line of a triangle: the whole is symmetric
-        "correlations": [[float(f"{v:.9g}") for v in row[: i + 1]] for i, row in enumerate(correlation)],
+        "correlations": [[float(f"{v:.12g}") for v in row[: i + 1]] for i, row in enumerate(correlation)],
     }
     if c.curve:
         table["curve"] = {name: [float(f"{v:.9g}") for v in values] for name, values in c.curve.items()}
@@ -218,12 +218,47 @@ def _record(table: Mapping[str, Any]) -> Calibration:
     head = table["calibration"]
     if head["format"] != _FORMAT:
         raise ValueError(f"format {head['format']!r}, where this version reads {_FORMAT}")
+    _refuse_strangers("values", table["values"], NAMES)
     values = {name: parse_quantity(table["values"][name], _UNIT[name], name) for name in NAMES}
-    part = table["covariance"]
+    names, covariance = _covariance(table["covariance"])
+    amplitude = parse_quantity(head["amplitude"], "m", "amplitude")
+    noise = {n: parse_quantity(v, _NOISE_UNIT.get(n, "m"), n) for n, v in table.get("noise", {}).items()}
+    curve = _curve(table.get("curve", {}))
+    _require_finite("values", list(values.values()))
+    _require_finite("noise", list(noise.values()))
+    if not 0.0 < amplitude < math.inf or any(value < 0.0 for value in noise.values()):
+        raise ValueError("an amplitude or a noise below zero")
+    return Calibration(
+        probe=parse_probe(tomli_w.dumps(table["probe"]), "the probe of the calibration"),
+        amplitude=amplitude,
+        values=values,
+        names=names,
+        covariance=covariance,
+        noise=noise,
+        reference=_reference(table["reference"]) if "reference" in table else None,
+        curve=curve,
+        findings=tuple(map(str, head["findings"])),
+        source=str(head["source"]),
+    )
+
+
+def _refuse_strangers(part: str, found: Iterable[str], known: Iterable[str]) -> None:
+    strangers = sorted(set(found) - set(known))
+    if strangers:
+        raise ValueError(f"unknown names in the {part}: {', '.join(strangers)}")
+
+
+def _require_finite(part: str, numbers: Any) -> None:
+    if not np.isfinite(np.asarray(numbers, dtype=float)).all():
+        raise ValueError(f"numbers in the {part} that are not finite")
+
+
+def _covariance(part: Mapping[str, Any]) -> tuple[tuple[str, ...], _Floats]:
+    """Return names and covariance of a table of errors and correlations."""
     names = tuple(part["names"])
-    unknown = set(names) - set(NAMES)
-    if unknown or len(set(names)) < len(names):
-        raise ValueError(f"names {sorted(unknown) or names} in the covariance")
+    _refuse_strangers("covariance", names, NAMES)
+    if len(set(names)) < len(names):
+        raise ValueError("a name that stands twice in the covariance")
     errors = np.array([parse_quantity(e, _UNIT[n], n) for e, n in zip(part["errors"], names, strict=True)])
     rows = part["correlations"]
     if [len(row) for row in rows] != list(range(1, len(names) + 1)):
@@ -231,36 +266,38 @@ def _record(table: Mapping[str, Any]) -> Calibration:
     correlation = np.eye(len(names))
     for i, row in enumerate(rows):
         correlation[i, : i + 1] = correlation[: i + 1, i] = row
-    numbers = np.concatenate([np.array(list(values.values())), errors, correlation.ravel()])
-    if not np.isfinite(numbers).all() or not (errors >= 0.0).all():
-        raise ValueError("numbers that are not finite, or negative errors")
-    if np.linalg.eigvalsh(correlation)[0] < -_ROUNDING * len(names):
+    _require_finite("covariance", np.concatenate([errors, correlation.ravel()]))
+    if (errors < 0.0).any():
+        raise ValueError("negative errors in the covariance")
+    if (np.abs(np.diag(correlation) - 1.0)[errors > 0.0] > _ROUNDING).any():
+        raise ValueError("an unknown whose correlation with itself is not 1")
+    if names and np.linalg.eigvalsh(correlation)[0] < -_ROUNDING * len(names):
         raise ValueError("a covariance that is not one: it has a negative eigenvalue")
-    reference = None
-    if "reference" in table:
-        r = table["reference"]
-        reference = ReferenceMaterial(
-            r["name"],
-            r["model"],
-            float(r["poisson_ratio"]),
-            {
-                name: (parse_quantity(p["median"], _property_unit(name), name), float(p["log_error"]))
-                for name, p in r["properties"].items()
-            },
-            tuple(r["stated"]),
-        )
-    return Calibration(
-        probe=parse_probe(tomli_w.dumps(table["probe"]), "the probe of the calibration"),
-        amplitude=parse_quantity(head["amplitude"], "m", "amplitude"),
-        values=values,
-        names=names,
-        covariance=correlation * np.outer(errors, errors),
-        noise={n: parse_quantity(v, _NOISE_UNIT.get(n, "m"), n) for n, v in table.get("noise", {}).items()},
-        reference=reference,
-        curve={name: np.array(v, dtype=float) for name, v in table.get("curve", {}).items()},
-        findings=tuple(map(str, head["findings"])),
-        source=str(head["source"]),
+    return names, correlation * np.outer(errors, errors)
+
+
+def _reference(r: Mapping[str, Any]) -> ReferenceMaterial:
+    properties = {
+        name: (parse_quantity(p["median"], _property_unit(name), name), float(p["log_error"]))
+        for name, p in r["properties"].items()
+    }
+    _require_finite(
+        "reference", [float(r["poisson_ratio"]), *(x for pair in properties.values() for x in pair)]
     )
+    return ReferenceMaterial(
+        str(r["name"]), str(r["model"]), float(r["poisson_ratio"]), properties, tuple(r["stated"])
+    )
+
+
+def _curve(table: Mapping[str, Any]) -> dict[str, _Floats]:
+    """Return the columns of a corrected curve."""
+    _refuse_strangers("curve", table, _COLUMNS)
+    curve = {name: np.array(column, dtype=float) for name, column in table.items()}
+    if curve and ({"A1", "phi1"} - set(curve) or len({column.shape for column in curve.values()}) > 1):
+        raise ValueError("a curve without A1 or phi1, or with columns of other lengths")
+    for name, column in curve.items():
+        _require_finite(f"column {name} of the curve", column)
+    return curve
 
 
 def summary_rows(calibration: Calibration) -> list[tuple[str, str, str]]:
@@ -287,7 +324,8 @@ def summary_rows(calibration: Calibration) -> list[tuple[str, str, str]]:
         value = complex(c.values[f"{prefix}_re"], c.values[f"{prefix}_im"])
         error = math.hypot(c.error(f"{prefix}_re"), c.error(f"{prefix}_im")) / math.sqrt(2.0)
         if value != 0.0 or error > 0.0:
-            text = f"{format_quantity(abs(value), 'm', 3)} at {math.degrees(math.atan2(value.imag, value.real)):.0f} deg"
+            angle = math.degrees(math.atan2(value.imag, value.real))
+            text = f"{format_quantity(abs(value), 'm', 3)} at {angle:.0f} deg"
             rows.append((label, text, format_quantity(error, "m", 3)))
 
     scalar("phi1_offset", "phi1: zero")

@@ -46,6 +46,7 @@ DRIFT: Mapping[str, float] = {
     "phi1_offset": math.radians(1.0),
     "free_amplitude": 0.01,
     "quality_factor": 0.01,
+    "resonance": 3e-5,
     "crosstalk2_re": 3e-12,
     "crosstalk2_im": 3e-12,
     "crosstalk3_re": 3e-12,
@@ -54,7 +55,6 @@ DRIFT: Mapping[str, float] = {
     "gain3": 0.005,
 }
 """Standard deviation of what changes between a calibration and its scan: minutes of an ordinary microscope."""
-_LOSS_UNSURE = 0.03  # of the drive: DISS_1 of the reference differs by that where a resonance has drifted by a degree or two
 _SAME_DRIVE = 1e-3  # relative
 _LEVER_DOUBT = "optical lever reads slope"
 _UNKNOWN = "the calibration says nothing of harmonic {n}: what the instrument adds to it is not known, and still in it"
@@ -78,8 +78,9 @@ def correct(
     calibration : Calibration
         From `overtone.calibrate`, of the same probe.
     reference : str, DataArray, sequence or None
-        Which pixels are the reference material of the calibration: ``auto`` finds them by phase and second harmonic; a
-        mask (y, x); or a rectangle ``(x0, y0, x1, y1)`` [m]. None, and calibrations without a reference, anchor nothing.
+        Which pixels are the reference material of the calibration: ``auto`` finds them by phase and higher harmonics; a
+        mask (y, x); or a rectangle ``(x0, y0, x1, y1)`` [m]. None, and calibrations without a reference, anchor
+        nothing.
     lift : Dataset, optional
         A lift (Nap) pass with the drive on, on the same pixels: measures A0 without the sample, free A1 and phi1, and
         the background of A2, line by line.
@@ -275,32 +276,50 @@ def _as_corrected(result: xr.Dataset, before: xr.Dataset, left: Calibration) -> 
     """
     reading = reading_of(before)
     probe = probe_with(left.probe, left.values)
-    doubts: dict[int, str] = {}
-    settled: set[str] = set()
-    if reading is not None:
-        one_mode = probe.detector.kind != SLOPE or len(probe.cantilever.modes) == 1
-        for n, text in reading.doubts.items():
-            lines = text.splitlines()
-            kept = [line for line in lines if (_LEVER_DOUBT in line and one_mode) or not _covers(left, n)]
-            settled |= set(lines) - set(kept)
-            if kept:
-                doubts[n] = "\n".join(kept)
-        if probe.tip.radius is None and reading.probe.tip.radius is not None:
-            probe = replace(probe, tip=reading.probe.tip)
-    for n in harmonic_orders(before):
-        if n in (0, *HIGHER) and not _covers(left, n):
-            line = _UNKNOWN.format(n=n)
-            doubts[n] = f"{doubts[n]}\n{line}" if n in doubts else line
-    settled -= {line for text in doubts.values() for line in text.splitlines()}
-    sentences = [
-        sentence
-        for sentence in provenance.findings(result)
-        if not any(line and line in sentence for line in settled)
-    ]
-    result = result.assign_attrs(findings="[]") if "findings" in result.attrs else result
-    result = provenance.add_finding(result, *sentences) if sentences else result
-    result = with_reading(result, Reading(probe, (), True, True, doubts))
+    if reading is not None and probe.tip.radius is None and reading.probe.tip.radius is not None:
+        probe = replace(probe, tip=reading.probe.tip)
+    sentences = unsettled_findings(before, left)
+    if "findings" in result.attrs:
+        result = result.assign_attrs(findings="[]")
+    if sentences:
+        result = provenance.add_finding(result, *sentences)
+    result = with_reading(result, Reading(probe, (), True, True, _doubts(before, left)))
     return result.assign_attrs(calibration=format_calibration(_applied(left)))
+
+
+def _doubts(before: xr.Dataset, calibration: Calibration) -> dict[int, str]:
+    """Return what is doubted of each harmonic once a calibration was applied."""
+    reading, probe = reading_of(before), calibration.probe
+    one_mode = probe.detector.kind != SLOPE or len(probe.cantilever.modes) == 1
+    lines: dict[int, list[str]] = {}
+    for n, text in (reading.doubts if reading is not None else {}).items():
+        covered = _covers(calibration, n)
+        lines[n] = [line for line in text.splitlines() if not covered or (_LEVER_DOUBT in line and one_mode)]
+    for n in harmonic_orders(before):
+        if n in (0, *HIGHER) and not _covers(calibration, n):
+            lines.setdefault(n, []).append(_UNKNOWN.format(n=n))
+    return {n: "\n".join(said) for n, said in lines.items() if said}
+
+
+def unsettled_findings(before: xr.Dataset, calibration: Calibration) -> list[str]:
+    """Return the findings of raw observables, but for those that repeat a doubt which a calibration settles.
+
+    Parameters
+    ----------
+    before : Dataset
+        Observables as the microscope stored them.
+    calibration : Calibration
+        Of the same instrument.
+    """
+    reading = reading_of(before)
+    doubted = [
+        line
+        for text in (reading.doubts if reading is not None else {}).values()
+        for line in text.splitlines()
+    ]
+    open_still = {line for text in _doubts(before, calibration).values() for line in text.splitlines()}
+    settled = [line for line in doubted if line and line not in open_still]
+    return [said for said in provenance.findings(before) if not any(line in said for line in settled)]
 
 
 def _applied(calibration: Calibration) -> Calibration:
@@ -318,8 +337,8 @@ def _say_what_is_left(state: State, mask: _Mask | None, lift: xr.Dataset | None,
     """Add a sentence on the errors that are left, and one where nothing in the scan has made them smaller."""
     if mask is None and lift is None:
         findings.append(
-            "nothing in the scan anchors A0 and phase: neither reference pixels nor a lift pass; the zero may have drifted "
-            f"by {format_quantity(state.error('A0_offset'), 'm')} since the calibration"
+            "nothing in the scan anchors A0 and phase: neither reference pixels nor a lift pass; the zero may have "
+            f"drifted by {format_quantity(state.error('A0_offset'), 'm')} since the calibration"
         )
     parts = [f"phi1 +- {math.degrees(state.error('phi1_offset')):.2g} deg"]
     if "A0_offset" in state.names:

@@ -239,7 +239,7 @@ def _gate(
     if verdict == ABSOLUTE:
         reason = f"{size}, one standard deviation"
     elif verdict == RELATIVE:
-        reason = f"{size}, and its ratio to the reference by a factor of {math.exp(relative):.3g}: {limits}"
+        reason = f"{size}; they {_moved(relative, 'its ratio to the reference')}: {limits}"
     else:
         ratio = (
             "" if math.isnan(relative) else f"; for its ratio to the reference they {_moved(relative, 'it')}"

@@ -20,6 +20,7 @@ from overtone.instrument.unknowns import (
     crosstalk_of,
     distortion_basis,
     distortion_of,
+    probe_with,
     undo,
     wrapped,
 )
@@ -34,7 +35,6 @@ _FREE_ERROR = (
     0.002  # of the free amplitude in a lift pass, and of its phase: the film of air changes with height
 )
 _FAST = 3.0  # of errors: neighbours share 1/f noise
-_KEPT = 1e-9  # slope along the slow axis once lines were levelled [m/m]
 
 
 def with_lift(
@@ -95,11 +95,14 @@ def with_lift(
             got=format_quantity(level, "m"),
             hint="a higher lift (150 to 300 nm above the surface, drive on)",
         )
-    lag = wrapped(-np.angle(free.phasor[1]) - far_phase(calibration.probe) - state.values["phi1_offset"])
+    lever = probe_with(calibration.probe, {**calibration.values, "resonance": state.values["resonance"]})
+    lag = wrapped(-np.angle(free.phasor[1]) - far_phase(lever) - state.values["phi1_offset"])
     phase, phase_error = smooth_lines(lag, known)
     error = math.hypot(_FREE_ERROR, float(np.sqrt(np.mean(phase_error**2))))
     level_phase = float(phase.mean())
-    state = state.measured(np.array([level_phase]), state.row(phi1_offset=1.0)[None, :], np.array([error**2]))
+    # the lag of the free lever tells the zero of the phase and the resonance together; the reference tells them apart
+    row = state.row(phi1_offset=1.0, resonance=_turn_with_resonance(state, calibration))
+    state = state.measured(np.array([level_phase]), row[None, :], np.array([error**2]))
     # drive: amplitudes of the lines follow it; what it drifts by is shared out as an error of one factor
     strength, strength_error = smooth_lines(np.abs(free.phasor[1]) / amplitude, known)
     mean_strength = float(strength.mean())
@@ -111,13 +114,24 @@ def with_lift(
     )
     findings.append(
         f"lift pass: phi1 drifted by {math.degrees(float(np.ptp(phase))):.2g} deg and the free amplitude by "
-        f"{100 * float(np.ptp(strength)) / mean_strength:.2g} % over the lines; the phase was taken out, the amplitude is "
-        "carried as error"
+        f"{100 * float(np.ptp(strength)) / mean_strength:.2g} % over the lines; the phase was taken out, the amplitude "
+        "is carried as error"
     )
     if free.mean is not None and read.mean is not None:
-        read, state = _mean_of_lift(read, free, where, state, amplitude, findings)
+        height = lift.attrs.get("lift_height")
+        read, state = _mean_of_lift(read, free, where, state, amplitude, height, findings)
     state = _background(free, where, state, amplitude)
     return _turned(read, phase - level_phase, state), state
+
+
+def _turn_with_resonance(state: State, calibration: Calibration) -> float:
+    """Return d phi_far / d resonance."""
+    step = 1e-7
+    there, here = (
+        far_phase(probe_with(calibration.probe, {**calibration.values, "resonance": state.values["resonance"] + s}))
+        for s in (step, 0.0)
+    )
+    return float(wrapped(there - here)) / step
 
 
 def _turned(read: Signals, phase: _Floats, state: State) -> Signals:
@@ -131,7 +145,13 @@ def _turned(read: Signals, phase: _Floats, state: State) -> Signals:
 
 
 def _mean_of_lift(
-    read: Signals, free: Signals, where: Positions, state: State, amplitude: float, findings: list[str]
+    read: Signals,
+    free: Signals,
+    where: Positions,
+    state: State,
+    amplitude: float,
+    lift_height: float | None,
+    findings: list[str],
 ) -> tuple[Signals, State]:
     """Take the mean deflection of the lift pass off: its slopes from a plane in Z and x, its drift line by line."""
     if read.mean is None or free.mean is None:
@@ -140,21 +160,23 @@ def _mean_of_lift(
     data = free.mean - basis @ distortion_of(state.values, 0).real
     good = np.isfinite(data)
     state = with_slopes(data, good, where, state)
-    plane = state.values["A0_slope_z"] * where.height + state.values["A0_slope_x"] * where.x
+    slopes = (state.values[f"A0_slope_{axis}"] for axis in "zxy")
+    plane = sum((slope * way for slope, way in zip(slopes, where, strict=True)), np.zeros(data.shape))
     offset, error = smooth_lines(data - plane, good)
     middle = float(offset.mean())
-    read = Signals(read.mean - (offset - middle)[:, None], read.phasor)
+    read, state, rest = levelled(read, offset - middle, error, where, state, amplitude)
     # offset and what the detector adds are both there, and only their sum is seen
     added = {f"distortion0_{j}": float(basis[..., j][good].mean()) for j in range(basis.shape[-1])}
-    state = state.measured(
-        np.array([middle - state.values["A0_offset"]]),
-        state.row(A0_offset=1.0, **added)[None, :],
-        np.array([np.mean(error**2)]),
-    )
-    state = levelled(state)
+    at = "at a height that is not stated, so that only its drift was used,"
+    if lift_height is not None:  # up there the virtual deflection is another one
+        rise = state.values["A0_slope_z"] * float(lift_height)
+        row = state.row(A0_offset=1.0, A0_slope_z=float(lift_height), **added)
+        off = np.array([middle - rise - state.values["A0_offset"]])
+        state = state.measured(off, row[None, :], np.array([np.mean(error**2)]))
+        at = f"is {format_quantity(middle - rise, 'm')} at the height of the scan,"
     findings.append(
-        f"lift pass: A0 without the sample is {format_quantity(middle, 'm')}, drifts by "
-        f"{format_quantity(float(np.ptp(offset)), 'm')} over the lines and follows the height by "
+        f"lift pass: A0 without the sample {at} drifts by "
+        f"{format_quantity(float(np.ptp(rest)), 'm')} over the lines and follows the height by "
         f"{1e3 * state.values['A0_slope_z']:.3g} nm/um; taken out"
     )
     return read, state
@@ -217,13 +239,48 @@ def with_slopes(data: _Floats, good: _Mask, where: Positions, state: State) -> S
     return state.measured(np.linalg.solve(root, off), np.linalg.solve(root, H), np.ones(len(names)))
 
 
-def levelled(state: State) -> State:
-    """Return the state of a scan whose lines have been levelled: nothing is left along the slow axis."""
-    if "A0_slope_y" not in state.names:
-        return state
-    return state.measured(
-        np.array([-state.values["A0_slope_y"]]), state.row(A0_slope_y=1.0)[None, :], np.array([_KEPT**2])
-    )
+def levelled(
+    read: Signals, drift: _Floats, error: _Floats, where: Positions, state: State, amplitude: float
+) -> tuple[Signals, State, _Floats]:
+    """Take the drift of the mean deflection from line to line out.
+
+    Parameters
+    ----------
+    read : Signals
+        The scan (y, x), as read.
+    drift, error : array (line,)
+        What its lines read too much at A_ref [m], beyond what the state says, and its standard deviation.
+    where, state
+        Of the pixels and of the instrument.
+    amplitude : float
+        A_ref [m].
+
+    Returns
+    -------
+    read, state
+        An even slope along y is in the state, because it moves the spot; what is left of the drift is out of the scan.
+    rest : array (line,)
+        What is left.
+    """
+    y = where.y.mean(axis=1)
+    sure = np.isfinite(error) & (error > 0.0)
+    if "A0_slope_y" in state.names and sure.sum() > 2 and np.ptp(y[sure]) > 0.0:
+        weight = 1.0 / error[sure] ** 2
+        centre = float(np.average(y[sure], weights=weight))
+        middle = float(np.average(drift[sure], weights=weight))
+        spread = float(weight @ (y[sure] - centre) ** 2)
+        slope = float(weight @ ((y[sure] - centre) * (drift[sure] - middle))) / spread
+        before = state.values["A0_slope_y"]
+        state = state.measured(
+            np.array([slope]), state.row(A0_slope_y=1.0)[None, :], np.array([1.0 / spread])
+        )
+        drift = drift - (state.values["A0_slope_y"] - before) * y
+    if read.mean is None:
+        return read, state, drift
+    # the spot moves, and the detector turns that into less where the lever swings wide
+    chi = state.values["compression"]
+    weaker = (1.0 - 2.0 * chi * np.abs(read.phasor[1] / amplitude) ** 2) / (1.0 - 2.0 * chi)
+    return Signals(read.mean - drift[:, None] * weaker, read.phasor), state, drift
 
 
 def _line_mean(values: _Floats, good: _Mask) -> _Floats:

@@ -208,8 +208,8 @@ def _inflated(fit: Fit, findings: list[str]) -> _Floats:
             "the approach curve does not follow the reference",
             expected="a curve that the contact model explains within its noise, or nearly",
             got=f"chi-squared {ratio:.3g} times its freedom",
-            hint="another contact model or reference, a curve in tapping and not in permanent contact, the right sign and "
-            "unit of every channel; without a reference the zeros can be had",
+            hint="another contact model or reference, a curve in tapping and not in permanent contact, the right sign "
+            "and unit of every channel; without a reference the zeros can be had",
         )
     if not fit.converged:
         findings.append(
@@ -218,8 +218,8 @@ def _inflated(fit: Fit, findings: list[str]) -> _Floats:
     if ratio <= _BAD_FIT:
         return fit.covariance
     findings.append(
-        f"the approach curve does not follow the model within its noise: chi-squared is {ratio:.3g} times its freedom, and "
-        f"errors were widened by {math.sqrt(ratio):.3g}. Another contact model, drift during the curve, or a height that "
-        "creeps may be behind it"
+        f"the approach curve does not follow the model within its noise: chi-squared is {ratio:.3g} times its freedom,"
+        f" and errors were widened by {math.sqrt(ratio):.3g}. Another contact model, drift during the curve, or a height "
+        "that creeps may be behind it"
     )
     return fit.covariance * ratio

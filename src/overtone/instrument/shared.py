@@ -124,15 +124,15 @@ def shared_forces(
         return conservative(signals, probe_with(calibration.probe, at), orders)
 
     here = forces(calibration.values)
-    changes = []
-    for column in root.T:
+    changes = np.empty((*here.shape, root.shape[1]))
+    for k, column in enumerate(root.T):
         steps = dict(zip(calibration.names, _STEP * column, strict=True))
         there = {name: value + steps.get(name, 0.0) for name, value in calibration.values.items()}
-        changes.append((forces(there) - here) / _STEP)
+        changes[..., k] = (forces(there) - here) / _STEP
     radius = np.zeros(root.shape[1])
     if "radius" in calibration.names:
         radius = root[calibration.names.index("radius")] / calibration.values["radius"]
-    return np.stack(changes, axis=-1), radius
+    return changes, radius
 
 
 def _scale(calibration: Calibration) -> _Floats:

@@ -1,7 +1,8 @@
 """What is believed of an instrument while a scan is corrected: as it was calibrated, and as it is now.
 
-The two differ by what has drifted. A lift pass measures what is now. The reference material measures the drift alone: the
-approach curve on it was corrected with the same numbers, so what is wrong with them is wrong in both, and cancels.
+The two differ by what has drifted. A lift pass measures what is now. The reference material measures the drift: the
+approach curve on it was corrected with the numbers of the calibration, so what is wrong with them is wrong in both, and
+cancels.
 """
 
 from __future__ import annotations
@@ -61,9 +62,9 @@ class State(NamedTuple):
         """
         return self._updated(off, np.concatenate([np.zeros_like(H), H], axis=1), variance)
 
-    def drifted(self, off: _Floats, H: _Floats, variance: _Floats) -> State:
-        """Return the state after measurements of what has changed since the calibration; arguments as in `measured`."""
-        return self._updated(off, np.concatenate([-H, H], axis=1), variance)
+    def compared(self, off: _Floats, H: _Floats, before: _Floats, variance: _Floats) -> State:
+        """Return the state after measurements of ``H @ now - before @ calibrated``; arguments as in `measured`."""
+        return self._updated(off, np.concatenate([-before, H], axis=1), variance)
 
     def _updated(self, off: _Floats, H: _Floats, variance: _Floats) -> State:
         scale = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))

@@ -96,12 +96,13 @@ UNKNOWNS: tuple[Unknown, ...] = (
     *(unknown for n in HIGHER for unknown in _of_a_harmonic(n)),
     Unknown("stiffness", "1", "stiffness over the one of the probe", 1.0),
     Unknown("quality_factor", "1", "quality factor over the one of the probe", 1.0),
+    Unknown("resonance", "1", "resonance over the one of the probe", 1.0),
     Unknown("free_amplitude", "1", "free amplitude over the one of the probe", 1.0),
     Unknown("radius", "1", "tip radius over the one of the probe", 1.0),
 )
 NAMES: tuple[str, ...] = tuple(unknown.name for unknown in UNKNOWNS)
 NEUTRAL: Mapping[str, float] = {unknown.name: unknown.neutral for unknown in UNKNOWNS}
-LEVER = ("stiffness", "quality_factor", "free_amplitude", "radius")
+LEVER = ("stiffness", "quality_factor", "resonance", "free_amplitude", "radius")
 """Unknowns of the probe; the others are of the signals."""
 
 
@@ -212,7 +213,7 @@ def undo(
 
 
 def probe_with(probe: Probe, values: Mapping[str, float]) -> Probe:
-    """Return a probe whose stiffness, quality factor, free amplitude and radius are changed by their factors."""
+    """Return a probe whose stiffness, Q and resonance of the first mode, free amplitude and radius are changed by factors."""
     factor = values["stiffness"]
     first, *others = probe.cantilever.modes
     modes = (
@@ -220,6 +221,7 @@ def probe_with(probe: Probe, values: Mapping[str, float]) -> Probe:
             first,
             stiffness=first.stiffness * factor,
             quality_factor=first.quality_factor * values["quality_factor"],
+            frequency=first.frequency * values["resonance"],
         ),
         *(replace(mode, stiffness=mode.stiffness * factor) for mode in others),
     )

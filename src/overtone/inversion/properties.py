@@ -111,9 +111,11 @@ def map_properties(
     Notes
     -----
     The linearised uncertainty is itself a lower bound: far from the minimum the valley bends. Errors that the whole
-    scan shares (1 pm of A0, 1 degree of phase) count in it, and in the range of moduli, where the scan was corrected with a
-    calibration (`overtone.correct`); they do not average out over pixels. Without one both hold noise only. The model's own
-    error, of which the bare cosine of eq 10 alone is 1 to 6 % of the modulus, comes on top.
+    scan shares (1 pm of A0, 1 degree of phase) count in it, and in the range of moduli, where the scan was corrected
+    with a calibration (`overtone.correct`); they do not average out over pixels. Without one both hold noise only. The
+    tip radius counts there by half of its relative error, as if independent of the rest: a reference of known modulus
+    ties it to the gains, which makes the range wider than it need be. The model's own error, of which the bare cosine
+    of eq 10 alone is 1 to 6 % of the modulus, comes on top.
     """
     if method not in METHODS:
         raise InversionError("unknown method", expected=", ".join(METHODS), got=repr(method))
@@ -214,8 +216,13 @@ def map_properties(
         found = best[pixels, :1]
         softest, stiffest = np.fmin(softest, found - reach), np.fmax(stiffest, found + reach)
         if shared is not None:  # E* goes as 1/sqrt(R)
-            tip = np.sqrt(_LEVELS) * 0.5 * shared.calibration.error("radius")
-            softest, stiffest = found - np.hypot(found - softest, tip), found + np.hypot(stiffest - found, tip)
+            of_the_tip = 0.5 * shared.calibration.error("radius") / shared.calibration.values["radius"]
+            uncertainty[pixels] = np.hypot(uncertainty[pixels], of_the_tip)
+            tip = np.sqrt(_LEVELS) * of_the_tip
+            softest, stiffest = (
+                found - np.hypot(found - softest, tip),
+                found + np.hypot(stiffest - found, tip),
+            )
         low[pixels] = np.clip(softest, lower[0], upper[0])
         high[pixels] = np.clip(stiffest, lower[0], upper[0])
         status[pixels] = _judge(

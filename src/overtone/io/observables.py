@@ -57,6 +57,7 @@ def open_scan(
     direction: str | None = None,
     corrected: bool = False,
     lift: bool = False,
+    keep_offset: bool = False,
 ) -> xr.Dataset:
     """Open a scan, a curve or a table as observables.
 
@@ -83,6 +84,8 @@ def open_scan(
     lift : bool
         True opens the Nap or Lift pass, which never mixes with the main one: channels ``Nap...`` of Asylum,
         variables ``lift_A0``, ``lift_A1``, ... of a netCDF file. Its A0 is kept whatever its offset.
+    keep_offset : bool
+        True keeps A0 whatever its offset, for a scan that a calibration is to correct (`overtone.correct`).
 
     Returns
     -------
@@ -111,7 +114,7 @@ def open_scan(
         direction,
         corrected,
         lift,
-        keep_offset=lift,
+        keep_offset=lift or keep_offset,
     )
     with kept_warnings() as said:
         recording = read_channels(path)
