@@ -93,7 +93,8 @@ def gates(
     setpoint : float
         A1 / A1far, between 0 and 1.
     materials : mapping of str to Sample, optional
-        Materials to ask for; the reference, and one that is softer by `SOFTER`, unless given.
+        Materials to ask for; the reference, and one that is softer by `SOFTER`, unless given. One with the name of the
+        reference is the reference.
     harmonics : sequence of int
         The three harmonics that are inverted.
 
@@ -135,7 +136,7 @@ def gates(
             }
     result = []
     for name, material in wanted.items():
-        is_reference = material is itself
+        is_reference = material is itself or (known is not None and name == known.name)
         row = reference_row if is_reference else None
         if row is None:
             row = _sensitivity(calibration, material, setpoint, harmonics)

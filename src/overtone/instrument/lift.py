@@ -34,6 +34,7 @@ _FREE = 0.1  # of the free amplitude: a lift pass that is farther off is none
 _FREE_ERROR = (
     0.002  # of the free amplitude in a lift pass, and of its phase: the film of air changes with height
 )
+_BACKGROUND = 1e-12  # [m] what a lift pass cannot tell of the background in contact
 _FAST = 3.0  # of errors: neighbours share 1/f noise
 
 
@@ -206,7 +207,7 @@ def _background(free: Signals, where: Positions, state: State, amplitude: float)
         state = state.measured(
             np.array([value.real, value.imag]),
             np.stack([state.row(**row) for row in weights]),
-            np.full(2, max(variance, 1e-30)),
+            np.full(2, variance + _BACKGROUND**2),
         )
     return state
 
