@@ -494,9 +494,10 @@ def unknowns(case: Case, raw: xr.Dataset, calibration: ot.Calibration) -> dict[s
     crosstalk = i.crosstalk[2] + i.drive_distortion[2]
     terms = [f"distortion2_{j}_re" for j in range(3)]
     angle = values["latency2"] - i.latency[2]
+    scale = (calibration.amplitude / case.probe.drive.free_amplitude) ** 2  # as it is quoted
     return {
         "distortion": (
-            sum(values[name] for name in terms) - faked(case, raw).real,
+            sum(values[name] for name in terms) - (faked(case, raw) * scale).real,
             error(dict.fromkeys(terms, 1.0)),
         ),
         "crosstalk2": (values["crosstalk2_re"] - crosstalk.real, error({"crosstalk2_re": 1.0})),

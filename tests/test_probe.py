@@ -169,26 +169,23 @@ def test_a_beam_may_state_its_static_stiffness() -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "messages"),
+    ("old", "new", "message"),
     [
-        (('frequency = "161.8 kHz"\nquality', "quality"), ["beam\\] lacks frequency"]),
-        (("quality_factor = 287\n", ""), ["beam\\] lacks quality_factor"]),
-        (("tip_mass", "weight"), ["no quantity 'weight'"]),
-        (('stiffness = "16.4 N/m"\n', ""), ["stiffness"]),
-        (('"16.4 N/m"', '"16.4 nm"'), ["cantilever.beam.stiffness"]),
-        (("tip_mass = 0.02", "tip_mass = -1"), ["tip_mass|tip mass"]),
-        (("tip_mass = 0.02", 'tip_mass = "heavy"'), ["tip_mass"]),
-        (("tip_mass = 0.02", "tip_mass = [1, 2]"), ["tip_mass"]),
-        (("tip_position = 0.95", "tip_position = 1.5"), ["tip_position|tip position|tip"]),
-        (("[drive]\nfrequency", "[cantilever]\nstiffness"), [""]),
+        ('frequency = "161.8 kHz"\nquality', "quality", "beam] lacks frequency"),
+        ("quality_factor = 287\n", "", "beam] lacks quality_factor"),
+        ("tip_mass", "weight", "no quantity 'weight'"),
+        ('stiffness = "16.4 N/m"\n', "", "stiffness"),
+        ('"16.4 N/m"', '"16.4 nm"', "cantilever.beam.stiffness"),
+        ("tip_mass = 0.02", "tip_mass = -1", "mass"),
+        ("tip_mass = 0.02", 'tip_mass = "heavy"', "cantilever.beam.tip_mass"),
+        ("tip_mass = 0.02", "tip_mass = [1, 2]", "cantilever.beam.tip_mass"),
+        ("tip_position = 0.95", "tip_position = 1.5", "tip"),
     ],
 )
-def test_beams_that_cannot_be_are_refused(change: tuple[str, str], messages: list[str]) -> None:
-    assert change[0] in BEAM
-    with pytest.raises(ProbeError) as caught:
-        parse_probe(BEAM.replace(change[0], change[1], 1))
-    for message in messages:
-        assert re.search(message, str(caught.value))
+def test_beams_that_cannot_be_are_refused(old: str, new: str, message: str) -> None:
+    assert old in BEAM
+    with pytest.raises(ProbeError, match=re.escape(message)):
+        parse_probe(BEAM.replace(old, new, 1))
 
 
 def test_a_beam_beside_modes_is_refused() -> None:

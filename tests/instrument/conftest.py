@@ -1,5 +1,6 @@
 """A virtual laboratory for calibrations and corrections: a lever, a microscope that adds to it, curves and scans."""
 
+import warnings
 from collections.abc import Callable
 from typing import Any
 
@@ -10,7 +11,11 @@ import xarray as xr
 from overtone.contact.sample import Sample, sample
 from overtone.demo import demo_probe
 from overtone.dynamics.hold import hold_amplitude
+from overtone.errors import CalibrationWarning
 from overtone.harmonics import far_phase
+from overtone.instrument.approach_fit import Reference
+from overtone.instrument.calibrate import calibrate
+from overtone.instrument.calibration import Calibration
 from overtone.instrument.curve import simulate_far_field
 from overtone.instrument.instrument import Instrument, lever_at, readings
 from overtone.instrument.photodiode import SplitDiode
@@ -57,13 +62,19 @@ def harmonics(keep: int = 6) -> list[str]:
 
 @pytest.fixture(scope="session")
 def motion_of() -> Callable[..., xr.Dataset]:
-    """Return the motion of an approach curve over z: repulsive states down to a fifth of the free amplitude, and free."""
+    """Return the motion of an approach curve over z: repulsive states, and free."""
 
     def motion(
-        probe: Probe, material: Sample, instrument: Instrument, *, points: int = 120, far: int = 60, deepest: float = 0.2
+        probe: Probe,
+        material: Sample,
+        instrument: Instrument,
+        *,
+        points: int = 120,
+        far: int = 60,
+        deepest: float = 0.2,
     ) -> xr.Dataset:
         near = lever_at(probe, instrument, height=0.0)
-        setpoint = np.linspace(deepest, 0.985, points)
+        setpoint = np.linspace(0.2, 0.985, points)
         held = hold_amplitude(near, material, setpoint=setpoint, n_max=6, keep=6)
         above = np.linspace(*_FAR, far)
         levers = [lever_at(probe, instrument, height=float(height)) for height in above]
@@ -91,9 +102,7 @@ def read_curve() -> Callable[..., xr.Dataset]:
     ) -> xr.Dataset:
         generator = np.random.default_rng(seed)
         z = motion["z"].values
-        raw = readings(
-            motion, instrument, probe, shift=instrument.mean_slope_z * z, generator=generator
-        )
+        raw = readings(motion, instrument, probe, shift=instrument.mean_slope_z * z, generator=generator)
         z = z + 777e-9 + generator.normal(0.0, noise, z.size) if noise else z + 777e-9
         raw = raw.assign_coords(z=("z", z, {"units": "m"}))
         raw.attrs["source"] = "curve"
@@ -110,3 +119,26 @@ def read_ladder() -> Callable[..., xr.Dataset]:
         return simulate_far_field(probe, instrument, height=300e-9, seed=seed)
 
     return read
+
+
+@pytest.fixture(scope="session")
+def calibrated(
+    lever: Probe,
+    microscope: Instrument,
+    stiff: Sample,
+    motion_of: Callable[..., xr.Dataset],
+    read_curve: Callable[..., xr.Dataset],
+    read_ladder: Callable[..., xr.Dataset],
+) -> Calibration:
+    """Return a calibration on the stiff reference, its modulus stated 4 % too high and known to 10 %."""
+    raw = read_curve(motion_of(lever, stiff, microscope), lever, microscope, seed=3)
+    ladder = read_ladder(lever, microscope, seed=4)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", CalibrationWarning)
+        return calibrate(
+            raw,
+            lever,
+            reference=Reference(0.35, modulus=2e9, name="PS"),
+            far_field=ladder,
+            height_noise=HEIGHT_NOISE,
+        )

@@ -110,10 +110,10 @@ def test_what_both_ways_differ_by_as_a_whole_is_not_noise() -> None:
     moved = retrace.assign(
         A0=retrace["A0"] + 5e-10,
         A1=retrace["A1"] * 1.01,
-        phi1=retrace["phi1"] + 3.1,
-        phi2=retrace["phi2"] + 6.2,
+        phi1=retrace["phi1"] + 3.1415,
+        phi2=retrace["phi2"] + 6.283,
     )
-    moved = moved.assign(phi3=retrace["phi3"] + 9.3)
+    moved = moved.assign(phi3=retrace["phi3"] + 9.4245)
     here, there = noise_from_pair(trace, retrace), noise_from_pair(trace, moved)
     for name in ("A0", "A1", "phi1", "A2", "A3"):
         assert there[name] == pytest.approx(here[name], rel=0.02, abs=0), name

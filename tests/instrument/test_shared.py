@@ -46,6 +46,7 @@ VALUES = dict(NEUTRAL) | {
     "latency3": -0.4,
     "stiffness": 1.05,
     "quality_factor": 0.97,
+    "resonance": 1.0001,
     "free_amplitude": 1.01,
     "radius": 1.2,
 }
@@ -66,7 +67,9 @@ def observables(count: int = 6) -> xr.Dataset:
 def calibration(probe: Probe = SINGLE, *, scale: float = 1.0, names: tuple[str, ...] = NAMES) -> Calibration:
     """Return a calibration whose unknowns are all unsure, and correlated with each other."""
     units = {unknown.name: unknown.unit for unknown in UNKNOWNS}
-    spread = scale * np.array([SCALES[units[name]] for name in names])
+    # ten hertz turn the phase by two degrees
+    sizes = {name: SCALES[unit] for name, unit in units.items()} | {"resonance": 1e-5}
+    spread = scale * np.array([sizes[name] for name in names])
     root = np.random.default_rng(3).normal(size=(len(names), 2 * len(names)))
     covariance = root @ root.T / (2 * len(names)) * np.outer(spread, spread)
     return Calibration(probe, A_REF, VALUES, names, covariance)

@@ -243,7 +243,14 @@ def test_factors_of_the_lever_change_what_they_name() -> None:
     modes = (Mode(16.4, 161.8e3, 287.0), Mode(640.0, 1.01e6, 600.0, 3.47))
     probe = Probe(Cantilever(modes, 15.9, 1.0897), Drive(161.8e3, 94e-9), Tip(10e-9), Detector("slope"))
     assert probe_with(probe, NEUTRAL) == probe
-    factors = {"stiffness": 1.1, "quality_factor": 0.9, "free_amplitude": 0.98, "radius": 1.3}
+    factors = {
+        "stiffness": 1.1,
+        "quality_factor": 0.9,
+        "resonance": 0.999,
+        "free_amplitude": 0.98,
+        "radius": 1.3,
+    }
+    assert set(factors) == set(LEVER)
     changed = probe_with(probe, dict(NEUTRAL) | factors)
     assert [mode.stiffness for mode in changed.cantilever.modes] == pytest.approx(
         [1.1 * 16.4, 1.1 * 640.0], rel=1e-14, abs=0
@@ -252,6 +259,10 @@ def test_factors_of_the_lever_change_what_they_name() -> None:
     assert [mode.quality_factor for mode in changed.cantilever.modes] == pytest.approx(
         [0.9 * 287.0, 600.0], rel=1e-14, abs=0
     )
+    assert [mode.frequency for mode in changed.cantilever.modes] == pytest.approx(
+        [0.999 * 161.8e3, 1.01e6], rel=1e-14, abs=0
+    )
+    assert changed.drive.frequency == 161.8e3
     assert changed.drive.free_amplitude == pytest.approx(0.98 * 94e-9, rel=1e-14, abs=0)
     assert changed.tip.radius == pytest.approx(13e-9, rel=1e-14, abs=0)
     assert changed.cantilever.static_slope_ratio == 1.0897

@@ -32,7 +32,7 @@ __all__ = ["Curve", "Fit", "Reference", "fit_approach"]
 _Floats = npt.NDArray[np.float64]
 _Complex = npt.NDArray[np.complex128]
 
-_STEP = 3e-4  # of a prior's width, for differences
+_STEP = 1e-4  # of a prior's width, for differences
 _FARTHEST = 5.0  # of the logarithm of a factor
 _N_MAX = 6  # A2 to 1e-4, far below any noise
 _NANO = 1e-9

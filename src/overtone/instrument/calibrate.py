@@ -26,6 +26,7 @@ from overtone.instrument.far_field import far_field as regress_far_field
 from overtone.instrument.near_lever import near_lever
 from overtone.instrument.noise import complete_noise
 from overtone.instrument.on_reference import Setting, calibrated_on, corrected_curve
+from overtone.instrument.signals import Signals
 from overtone.instrument.unknowns import HIGHER, NEUTRAL, wrapped
 from overtone.io.selection import is_clipped
 from overtone.probe import Probe
@@ -232,13 +233,19 @@ def _far_points(parts: CurveParts, far_field: xr.Dataset | None, findings: list[
         return own
     validate_observables(far_field)
     others = ladder_points(far_field)
-    missing = sorted(set(own.signals.orders) - set(others.signals.orders))
+    missing = sorted(set(signals.orders) - set(others.signals.orders))
     if missing:
         findings.append(
             f"the far-field data lack harmonic {', '.join(map(str, missing))}, so the far part of the curve stands "
             "alone for them"
         )
-    return joined([own, others])
+    # readings that are not there are as good as lost ones
+    gone = np.full(others.drive.size, math.nan)
+    filled = Signals(
+        gone if 0 in missing else others.signals.mean,
+        {**others.signals.phasor, **{n: gone + 0j for n in missing if n > 0}},
+    )
+    return joined([own, replace(others, signals=filled)])
 
 
 def _mean_error(sigma: float, parts: CurveParts, free: FreeLever) -> float:
@@ -248,7 +255,15 @@ def _mean_error(sigma: float, parts: CurveParts, free: FreeLever) -> float:
 
 def _unfitted(width: Mapping[str, float], far: FarField) -> dict[str, float]:
     """Return prior standard deviations of what the far field does not tell, for the harmonics that are there."""
-    kept = {"stiffness", "quality_factor", "resonance", "free_amplitude", "radius", "A0_slope_x", "A0_slope_y"}
+    kept = {
+        "stiffness",
+        "quality_factor",
+        "resonance",
+        "free_amplitude",
+        "radius",
+        "A0_slope_x",
+        "A0_slope_y",
+    }
     kept |= {"gain0"} if "A0_offset" in far.values else set()
     for n in HIGHER:
         if f"crosstalk{n}_re" in far.values:

@@ -216,6 +216,7 @@ def far_field(
         data, beside = points.signals.phasor[2], None
         # a spot that has moved distorts otherwise, by as much as is known of the compression
         if moved is not None:
+            moved = np.nan_to_num(moved)  # readings without A0 count as unmoved
             by_moving = -2.0 * moved * (first / reference) ** 2
             data = data - compression * by_moving
             beside = by_moving, math.hypot(doubt, _ELECTRONICS * compression)
@@ -349,8 +350,8 @@ def _mean(
     if unsure > _OPEN * width["distortion"]:
         sentences.append(
             f"offset and distortion of A0 cannot be told apart: {_why_open(points.signals.phasor[1], reference)}. "
-            f"Where the amplitude falls to nothing A0 is unsure by {unsure * 1e12:.3g} pm; a frequency ladder at constant "
-            "drive decides"
+            f"Where the amplitude falls to nothing A0 is unsure by {unsure * 1e12:.3g} pm; a frequency ladder at "
+            "constant drive decides"
         )
     moved = (data - mean[0] - basis @ mean[2:]) / weakened
     return (dict(zip(names, map(float, mean), strict=True)), covariance), moved, noise, sentences

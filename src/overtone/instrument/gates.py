@@ -94,7 +94,7 @@ def gates(
         A1 / A1far, between 0 and 1.
     materials : mapping of str to Sample, optional
         Materials to ask for; the reference, and one that is softer by `SOFTER`, unless given. One with the name of the
-        reference is the reference.
+        reference is the reference as the calibration has it.
     harmonics : sequence of int
         The three harmonics that are inverted.
 
@@ -136,13 +136,15 @@ def gates(
             }
     result = []
     for name, material in wanted.items():
-        is_reference = material is itself or (known is not None and name == known.name)
-        row = reference_row if is_reference else None
-        if row is None:
-            row = _sensitivity(calibration, material, setpoint, harmonics)
         relative = math.nan
-        if known is not None and reference_row is not None and not is_reference:
+        if known is not None and itself is not None and reference_row is not None:
+            if name == known.name:
+                result.append(_gate(calibration, name, itself, setpoint, reference_row, relative))
+                continue
+            row = _sensitivity(calibration, material, setpoint, harmonics)
             relative = _given_the_reference(calibration, row, reference_row, known.properties["modulus"][1])
+        else:
+            row = _sensitivity(calibration, material, setpoint, harmonics)
         result.append(_gate(calibration, name, material, setpoint, row, relative))
     return tuple(result)
 

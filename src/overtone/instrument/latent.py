@@ -15,10 +15,11 @@ import numpy.typing as npt
 _Floats = npt.NDArray[np.float64]
 
 _INNER = 6  # steps that set latent numbers right
-_INNER_SETTLED = 1e-3  # of chi-squared of a point
+_INNER_SETTLED = 1e-6  # of chi-squared of a point
 _LONGEST = 0.5  # of a step of a latent number
 _DAMPED, _EASED, _STUCK = 4.0, 0.2, 1e8
 _SETTLED = 0.01  # of half of chi-squared that a step may still gain
+_ROUGH = 0.1  # the same where no step does
 
 
 class Problem(NamedTuple):
@@ -67,7 +68,8 @@ def search(problem: Problem, start: _Floats, steps: int) -> Found:
         size = np.zeros(p.size)
         size[: problem.shared] = np.maximum(np.diag(normal)[: problem.shared], 1e-12)
         newton = np.linalg.solve(normal + 1e-12 * np.eye(p.size), gradient)
-        if 0.5 * float(gradient @ newton) < _SETTLED:
+        promised = 0.5 * float(gradient @ newton)
+        if promised < _SETTLED:
             return Found(p, cost, True)
         while True:
             change = -np.linalg.solve(normal + np.diag(damping * size + 1e-12), gradient)
@@ -79,7 +81,7 @@ def search(problem: Problem, start: _Floats, steps: int) -> Found:
                 break
             damping *= _DAMPED
             if damping > _STUCK:
-                return Found(p, cost, False)
+                return Found(p, cost, promised < _ROUGH)  # differences promise what is not there
         p, r, cost = trial, there, cost - gained
         damping = max(damping * _EASED, 1e-9)
     return Found(p, cost, False)

@@ -219,7 +219,7 @@ def _inflated(fit: Fit, findings: list[str]) -> _Floats:
         return fit.covariance
     findings.append(
         f"the approach curve does not follow the model within its noise: chi-squared is {ratio:.3g} times its freedom,"
-        f" and errors were widened by {math.sqrt(ratio):.3g}. Another contact model, drift during the curve, or a height "
-        "that creeps may be behind it"
+        f" and errors were widened by {math.sqrt(ratio):.3g}. Another contact model, drift during the curve, or a "
+        "height that creeps may be behind it"
     )
     return fit.covariance * ratio

@@ -213,7 +213,7 @@ def undo(
 
 
 def probe_with(probe: Probe, values: Mapping[str, float]) -> Probe:
-    """Return a probe whose stiffness, Q and resonance of the first mode, free amplitude and radius are changed by factors."""
+    """Return a probe with its factors: of stiffness, free amplitude, radius, and Q and resonance of the first mode."""
     factor = values["stiffness"]
     first, *others = probe.cantilever.modes
     modes = (
