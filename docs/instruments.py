@@ -1,7 +1,7 @@
 """Make the figure and the tables of the page on instruments: random ones, applied to simulated curves and removed.
 
 Run by hand, ``python docs/instruments.py``; a quarter of an hour on two cores. Every instrument is seeded by its
-number, so that each comes out again by itself: ``python docs/instruments.py 17`` prints what became of it.
+number, so that each comes out again by itself: ``python docs/instruments.py 17`` prints what becomes of it.
 
 Half of the instruments are formulas (`overtone.Instrument`). The other half work in time: a spot of a size on a
 split diode, moved by the lever and by drift, sampled by an ADC, and a digital lock-in. The calibration is the same.
@@ -11,20 +11,24 @@ from __future__ import annotations
 
 import csv
 import math
-import os
+import re
 import sys
 import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
+from statistics import NormalDist
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 import overtone as ot
+from overtone.errors import OvertoneError
 from overtone.harmonics import far_phase
 from overtone.instrument.curve_parts import split_curve
 from overtone.instrument.instrument import Instrument, free_response, noise_of, readings
@@ -33,10 +37,14 @@ from overtone.instrument.photodiode import SplitDiode, observables_of, read_thro
 from overtone.instrument.signals import Signals, signals_of, with_signals
 from overtone.instrument.trace import lock_in, sample_trace
 from overtone.instrument.unknowns import undo
+from overtone.plots import png_bytes
+from overtone.plots.canvas import new_figure
+from overtone.plots.categories import PALETTE
+from overtone.plots.text import LABEL_SIZE, TICK_SIZE, TITLE_SIZE
+from overtone.probe import Mode
 from overtone.quantities import named_array
 
-Floats = npt.NDArray[np.float64]
-Complex = npt.NDArray[np.complex128]
+Array = npt.NDArray[np.float64]
 
 FOLDER = Path(__file__).parent
 SEED, COUNT = 2024, 200
@@ -48,10 +56,31 @@ HEIGHTS, POINTS = 300, 15
 CURVE_TIME, LADDER_TIME = 60.0, 15.0
 HEIGHT_NOISE = 0.1e-9
 LARGEST_FAKE, LARGEST_LOSS = 0.9e-9, 0.02
-LEVERS = ("HQ:NSC14", "HQ:NSC15", "HQ:NSC18", "Multi75Al-G", "PPP-NCHR", "PPP-NCLR", "RTESPA-150", "RTESPA-300")
-NINETY = 1.6448536269514722
-UNKNOWNS = ("distortion", "crosstalk2", "gain0", "gain2", "latency2")
+LEVERS = (
+    "HQ:NSC14",
+    "HQ:NSC15",
+    "HQ:NSC18",
+    "Multi75Al-G",
+    "PPP-NCHR",
+    "PPP-NCLR",
+    "RTESPA-150",
+    "RTESPA-300",
+)
+EVERY = {LADDER: 1, WIDE: 4, DRIVES: 2, NONE: 1}
+"""Each of so many pairs of instruments has these far-field data."""
+EXAMPLE = 1
+NINETY = NormalDist().inv_cdf(0.95)
+STEP = 1e-2  # of a standard deviation, for derivatives
 SIGNALS = ("A0", "a2", "a3")
+UNKNOWNS = ("distortion2", "crosstalk2", "gain0", "gain2", "latency2")
+TITLES = {
+    "distortion2": "distortion of a2 [pm]",
+    "crosstalk2": "crosstalk of a2 [pm]",
+    "gain0": "gain of A0 [%]",
+    "gain2": "gain of a2 [%]",
+    "latency2": "latency of a2 [deg]",
+}
+SHOWN = {"distortion2": 1e12, "crosstalk2": 1e12, "gain0": 100.0, "gain2": 100.0, "latency2": 180.0 / math.pi}
 
 
 @dataclass(frozen=True)
@@ -64,8 +93,8 @@ class Case:
         Seed.
     kind : str
         ``formula`` or ``time``.
-    probe, sample
-        What there is.
+    probe, sample, truth
+        What there is, and what a perfect detector reads of an approach curve.
     stated : Probe
         What the calibration is told, off by as much as it allows for.
     modulus : float
@@ -84,6 +113,7 @@ class Case:
     kind: str
     probe: ot.Probe
     sample: ot.Sample
+    truth: xr.Dataset
     stated: ot.Probe
     modulus: float
     instrument: Instrument
@@ -106,14 +136,16 @@ def drawn(number: int) -> Case:
     random = np.random.default_rng([SEED, number])
     while True:
         probe, sample = lever(random), reference(random)
-        if repulsive(motion(probe, sample)):
+        truth = motion(probe, sample)
+        if repulsive(truth):
             break
     kind = IN_TIME if number % 2 else ANALYTIC
     amplitude = probe.drive.free_amplitude
     diode = aligned(random, amplitude) if kind == IN_TIME else None
     first, *others = probe.cantilever.modes
-    k, Q, R, E = (float(np.exp(s * random.normal())) for s in (0.05, 0.02, 0.15, 0.1))
-    modes = (replace(first, stiffness=first.stiffness * k, quality_factor=first.quality_factor * Q),)
+    k, Q, f, R, E = (float(np.exp(s * random.normal())) for s in (0.05, 0.02, 1e-5, 0.15, 0.1))
+    off = {"frequency": first.frequency * f, "quality_factor": first.quality_factor * Q}
+    modes: tuple[Mode, ...] = (replace(first, stiffness=first.stiffness * k, **off),)
     modes += tuple(replace(mode, stiffness=mode.stiffness * k) for mode in others)
     static = probe.cantilever.static_stiffness
     cantilever = replace(
@@ -126,6 +158,7 @@ def drawn(number: int) -> Case:
         kind,
         probe,
         sample,
+        truth,
         stated,
         float(sample.values["modulus"]) * E,
         instrument(random, amplitude, kind),
@@ -141,8 +174,16 @@ def lever(random: np.random.Generator) -> ot.Probe:
     stiffness, quality = even_log(random, 1.0, 40.0), even_log(random, 100.0, 500.0)
     frequency, amplitude = even_log(random, 50e3, 350e3), random.uniform(20e-9, 100e-9)
     radius, detuning = random.uniform(5e-9, 20e-9), random.uniform(-0.3, 0.3)
-    own = {"stiffness": stiffness, "frequency": frequency, "quality_factor": quality, "radius": radius}
-    drive = {"drive_frequency": frequency * (1.0 + detuning / quality), "free_amplitude": amplitude}
+    own: dict[str, Any] = {
+        "stiffness": stiffness,
+        "frequency": frequency,
+        "quality_factor": quality,
+        "radius": radius,
+    }
+    drive: dict[str, Any] = {
+        "drive_frequency": frequency * (1.0 + detuning / quality),
+        "free_amplitude": amplitude,
+    }
     if random.random() < 0.5:
         return ot.Probe.simple(**own, **drive)
     return ot.preset(str(random.choice(LEVERS)), **own, **drive)
@@ -219,7 +260,7 @@ def repulsive(curve: xr.Dataset) -> bool:
 def in_contact(curve: xr.Dataset) -> npt.NDArray[np.bool_]:
     """Return which points are compared: from the first percents of loss down to a sixth of the free amplitude."""
     A, level = curve["A1"].values, float(curve["A1"].values[0])
-    return np.asarray((A < 0.97 * level) & (A > 0.15 * level))
+    return np.asarray((0.97 * level > A) & (0.15 * level < A))
 
 
 def free(first: Any) -> xr.Dataset:
@@ -231,7 +272,7 @@ def free(first: Any) -> xr.Dataset:
     return xr.Dataset({name: named_array(name, values, dims) for name, values in names.items()})
 
 
-def ladder(case: Case, far_field: str) -> tuple[Floats, Floats]:
+def ladder(case: Case, far_field: str) -> tuple[Array, Array]:
     """Return frequencies and drives of far-field data."""
     drive, mode = case.probe.drive, case.probe.cantilever.modes[0]
     if far_field == DRIVES:
@@ -250,24 +291,28 @@ def far_data(case: Case, far_field: str) -> xr.Dataset | None:
     first = probe.drive.free_amplitude * np.exp(-1j * far_phase(probe)) * there / own * drive
     z = probe.drive.free_amplitude + 200e-9
     time = np.linspace(-LADDER_TIME - 5.0, -5.0, POINTS)
-    places = {"frequency": ("point", frequency), "drive": ("point", drive), "z": ("point", np.full(POINTS, z))}
+    places = {
+        "frequency": ("point", frequency),
+        "drive": ("point", drive),
+        "z": ("point", np.full(POINTS, z)),
+    }
     read = measured(case, free(first), z, time, frequency=frequency, drive=drive, stream=1)
     return read.assign_coords(places)
 
 
-def curve_data(case: Case, truth: xr.Dataset) -> xr.Dataset:
+def curve_data(case: Case) -> xr.Dataset:
     """Return readings along the curve, at heights that the file knows to 0.1 nm."""
-    z = truth["z"].values
-    read = measured(case, truth, z, np.linspace(0.0, CURVE_TIME, z.size), stream=0)
+    z = case.truth["z"].values
+    read = measured(case, case.truth, z, np.linspace(0.0, CURVE_TIME, z.size), stream=0)
     off = np.random.default_rng([SEED, case.number, 2]).normal(0.0, HEIGHT_NOISE, z.size)
-    return read.assign_coords(z=("z", z + off, truth["z"].attrs))
+    return read.assign_coords(z=("z", z + off, case.truth["z"].attrs))
 
 
 def measured(
     case: Case,
     truth: xr.Dataset,
     height: Any,
-    time: Floats,
+    time: Array,
     *,
     frequency: Any = None,
     drive: Any = 1.0,
@@ -307,7 +352,7 @@ def electronics(case: Case, signals: Signals, drive: Any) -> Signals:
 
 
 def through_the_diode(
-    case: Case, truth: xr.Dataset, shift: Floats, frequency: Any, random: np.random.Generator | None
+    case: Case, truth: xr.Dataset, shift: Array, frequency: Any, random: np.random.Generator | None
 ) -> xr.Dataset:
     """Return phasors of a lock-in behind a diode and an ADC, point by point, of a lever that is warm."""
     signals, count = signals_of(truth), truth["A1"].size
@@ -329,9 +374,10 @@ def through_the_diode(
     ]
     scale = case.probe.drive.free_amplitude / abs(complex(alone(case).phasor[1][0]))
     read = signals_of(xr.concat(seen, dim=axis))
+    assert read.mean is not None
     true_length = Signals(read.mean * scale, {n: a * scale for n, a in read.phasor.items()})
-    kept = truth[[name for name in truth.data_vars if name in ("A0", *(f"{p}{n}" for p in ("A", "phi") for n in (1, 2, 3)))]]
-    return with_signals(kept, true_length)
+    kept = ["A0", *(f"{letter}{n}" for n in (1, 2, 3) for letter in ("A", "phi"))]
+    return with_signals(truth[[name for name in kept if name in truth]], true_length)
 
 
 def recorded(
@@ -358,7 +404,9 @@ def recorded(
 def alone(case: Case) -> Signals:
     """Return what a lock-in without noise reads of the free lever behind the diode, where lengths are calibrated."""
     still = replace(case, drift=0.0)
-    seen = recorded(still, free(np.array([case.probe.drive.free_amplitude + 0j])), case.probe.drive.frequency, None)
+    seen = recorded(
+        still, free(np.array([case.probe.drive.free_amplitude + 0j])), case.probe.drive.frequency, None
+    )
     return signals_of(seen)
 
 
@@ -385,67 +433,83 @@ def injected(case: Case) -> dict[str, float]:
 
 
 class Outcome(NamedTuple):
-    """What became of a case with some far-field data."""
+    """What becomes of a case with some far-field data."""
 
     number: int
     kind: str
     far_field: str
-    points: int
     size: dict[str, float]
     """rms of each true signal per quadrature [m]."""
     noise: dict[str, float]
     """Injected, per quadrature [m]."""
+    before: dict[str, float]
+    """rms of what is read less what is true, but for the zeros of A0 and phase, per quadrature [m]."""
     residual: dict[str, float]
-    """rms of corrected less true, per quadrature [m]."""
-    covered: dict[str, float]
-    """Share of points and quadratures within their 90 % interval; of unknowns of the instrument 1 or 0."""
-    off: dict[str, float]
-    """Error over stated error: rms of the signals; of the unknowns with its sign."""
+    """rms of corrected less true, per quadrature [m]; infinite where the calibration failed."""
+    off: dict[str, Array]
+    """Errors over stated errors: of a signal at every point, of an unknown one."""
     error: dict[str, float]
-    """Stated errors [SI] of unknowns; of signals rms over the curve, without noise."""
+    """Stated errors [SI]: of signals rms over the curve, without noise."""
     findings: tuple[str, ...]
 
 
-def outcome(case: Case, truth: xr.Dataset, raw: xr.Dataset, far_field: str) -> Outcome:
+def outcome(case: Case, raw: xr.Dataset, far_field: str) -> Outcome:
     """Calibrate, correct and compare."""
+    inside = in_contact(case.truth)
+    there, noise = real_parts(signals_of(case.truth), inside), injected(case)
+    uncorrected = real_parts(zeroed(case, signals_of(raw)), inside)
+    before = {name: rms(uncorrected[name] - there[name]) for name in SIGNALS}
+    size = {name: rms(there[name]) for name in SIGNALS}
     given = ot.Reference(poisson_ratio=0.35, modulus=case.modulus, modulus_error=0.1)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # what stays open is told in the findings
-        calibration = ot.calibrate(raw, case.stated, reference=given, far_field=far_data(case, far_field))
-        clean = ot.correct(raw, calibration)
-    inside = in_contact(truth)
-    there, found = (compared(data, inside) for data in (truth, clean))
-    noise = injected(case)
-    spread = propagated(raw, calibration, clean, inside)
-    residual, covered, off, error, size = {}, {}, {}, {}, {}
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # what stays open is told in the findings
+            calibration = ot.calibrate(
+                raw,
+                case.stated,
+                reference=given,
+                far_field=far_data(case, far_field),
+                height_noise=HEIGHT_NOISE,
+            )
+            clean = ot.correct(raw, calibration)
+    except OvertoneError as fault:
+        lost = dict.fromkeys(SIGNALS, math.inf)
+        nowhere = {name: np.full(1, math.inf) for name in (*SIGNALS, *UNKNOWNS)}
+        return Outcome(
+            case.number, case.kind, far_field, size, noise, before, lost, nowhere, lost, (str(fault),)
+        )
+    found, spread = real_parts(signals_of(clean), inside), propagated(raw, calibration, clean, inside)
+    residual: dict[str, float] = {}
+    off: dict[str, Array] = {}
+    error: dict[str, float] = {}
     for name in SIGNALS:
         miss = found[name] - there[name]
-        total = np.hypot(spread[name], noise[name])
-        residual[name], size[name] = rms(miss), rms(there[name])
-        covered[name], off[name] = float((np.abs(miss) < NINETY * total).mean()), rms(miss / total)
-        error[name] = rms(spread[name])
-    for name, (miss, stated) in unknowns(case, raw, calibration).items():
-        off[name], error[name] = miss / stated, stated
-        covered[name] = float(abs(miss) < NINETY * stated)
+        residual[name], error[name] = rms(miss), rms(spread[name])
+        off[name] = (miss / np.hypot(spread[name], noise[name])).ravel()
+    for name, (deviation, stated) in unknowns(case, raw, calibration).items():
+        off[name], error[name] = np.array([deviation / stated]), stated
     return Outcome(
-        case.number, case.kind, far_field, int(inside.sum()), size, noise, residual, covered, off, error,
-        calibration.findings,
-    )  # fmt: skip
+        case.number, case.kind, far_field, size, noise, before, residual, off, error, calibration.findings
+    )
 
 
-def rms(values: Floats) -> float:
+def rms(values: Array) -> float:
     """Return the root of the mean square."""
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def compared(observables: xr.Dataset, inside: npt.NDArray[np.bool_]) -> dict[str, Floats]:
-    """Return A0 (point,) and both quadratures of a2, a3 (quadrature, point) of the points in contact."""
-    signals = signals_of(observables)
-    return parts(signals, inside)
+def zeroed(case: Case, signals: Signals) -> Signals:
+    """Return readings whose A0 is zero far away and whose phase has its zero: what everybody does."""
+    far = slice(0, HEIGHTS // 3)
+    assert signals.mean is not None
+    turn = np.exp(1j * case.instrument.phase_offset)
+    return Signals(
+        signals.mean - signals.mean[far].mean(), {n: a * turn**n for n, a in signals.phasor.items()}
+    )
 
 
-def parts(signals: Signals, inside: npt.NDArray[np.bool_]) -> dict[str, Floats]:
-    """Return signals as real numbers."""
+def real_parts(signals: Signals, inside: npt.NDArray[np.bool_]) -> dict[str, Array]:
+    """Return A0 (point,) and both quadratures of a2 and a3 (quadrature, point) of some points."""
     assert signals.mean is not None
     pairs = {f"a{n}": np.stack([signals.phasor[n].real, signals.phasor[n].imag])[:, inside] for n in (2, 3)}
     return {"A0": signals.mean[inside], **pairs}
@@ -453,28 +517,26 @@ def parts(signals: Signals, inside: npt.NDArray[np.bool_]) -> dict[str, Floats]:
 
 def propagated(
     raw: xr.Dataset, calibration: ot.Calibration, clean: xr.Dataset, inside: npt.NDArray[np.bool_]
-) -> dict[str, Floats]:
-    """Return the standard deviation that the calibration's covariance gives each corrected signal."""
-    applied = ot.calibration_of(clean)
-    assert applied is not None
-    values = dict(applied.values)
-    height = raw["z"].values - centre(raw)
-    read = signals_of(raw)
+) -> dict[str, Array]:
+    """Return the standard deviation that a calibration gives each signal of its own curve, without a drift since."""
+    left = ot.calibration_of(clean)
+    assert left is not None
+    read, height = signals_of(raw), raw["z"].values - centre(raw)
 
-    def at(moved: Mapping[str, float]) -> dict[str, Floats]:
-        return parts(undo(read, moved, applied.amplitude, height=height), inside)
+    def at(values: Mapping[str, float]) -> dict[str, Array]:
+        return real_parts(undo(read, values, left.amplitude, height=height), inside)
 
-    here = at(values)
+    here = at(left.values)
     scale = np.sqrt(np.diag(calibration.covariance))
     scale = np.where(scale > 0.0, scale, 1.0)
     size, vectors = np.linalg.eigh(calibration.covariance / np.outer(scale, scale))
     root = scale[:, None] * vectors * np.sqrt(np.maximum(size, 0.0))
     variance = {name: np.zeros(part.shape) for name, part in here.items()}
     for column in root.T:
-        step = {n: values[n] + 1e-2 * float(d) for n, d in zip(calibration.names, column, strict=True)}
-        there = at({**values, **step})
+        moved = {n: left.values[n] + STEP * float(d) for n, d in zip(calibration.names, column, strict=True)}
+        there = at({**left.values, **moved})
         for name in variance:
-            variance[name] += ((there[name] - here[name]) / 1e-2) ** 2
+            variance[name] += ((there[name] - here[name]) / STEP) ** 2
     return {name: np.sqrt(part) for name, part in variance.items()}
 
 
@@ -484,36 +546,243 @@ def centre(raw: xr.Dataset) -> float:
 
 
 def unknowns(case: Case, raw: xr.Dataset, calibration: ot.Calibration) -> dict[str, tuple[float, float]]:
-    """Return how far unknowns are off, and how far they should be; complex ones turned to their first quadrature."""
+    """Return how far unknowns are off, and how far that was said to be; of complex ones the real part."""
     i, values = case.instrument, calibration.values
 
-    def error(weights: Mapping[str, float]) -> float:
-        w = np.array([weights.get(name, 0.0) for name in calibration.names])
+    def error(*names: str) -> float:
+        w = np.array([1.0 if name in names else 0.0 for name in calibration.names])
         return math.sqrt(float(w @ calibration.covariance @ w))
 
-    crosstalk = i.crosstalk[2] + i.drive_distortion[2]
     terms = [f"distortion2_{j}_re" for j in range(3)]
-    angle = values["latency2"] - i.latency[2]
     scale = (calibration.amplitude / case.probe.drive.free_amplitude) ** 2  # as it is quoted
+    added = sum(values[name] for name in terms) - (faked(case, raw) * scale).real
+    crosstalk = values["crosstalk2_re"] - (i.crosstalk[2] + i.drive_distortion[2]).real
+    angle = values["latency2"] - i.latency[2]
     return {
-        "distortion": (
-            sum(values[name] for name in terms) - (faked(case, raw) * scale).real,
-            error(dict.fromkeys(terms, 1.0)),
-        ),
-        "crosstalk2": (values["crosstalk2_re"] - crosstalk.real, error({"crosstalk2_re": 1.0})),
-        "gain0": (values["gain0"] - i.gains[0], error({"gain0": 1.0})),
-        "gain2": (values["gain2"] - i.gains[2], error({"gain2": 1.0})),
-        "latency2": ((angle + math.pi) % (2.0 * math.pi) - math.pi, error({"latency2": 1.0})),
+        "distortion2": (added, error(*terms)),
+        "crosstalk2": (crosstalk, error("crosstalk2_re")),
+        "gain0": (values["gain0"] - i.gains[0], error("gain0")),
+        "gain2": (values["gain2"] - i.gains[2], error("gain2")),
+        "latency2": ((angle + math.pi) % (2.0 * math.pi) - math.pi, error("latency2")),
     }
 
 
 def faked(case: Case, raw: xr.Dataset) -> complex:
-    """Return what the detector adds to a2 at the free amplitude, in the phase of a1^2, from a reading without noise.
+    """Return what is read of a2 of the free lever beside crosstalk, in the phase of a1^2, without noise.
 
     The spot is where it was at the onset, from which the calibration counts.
     """
-    first = free(np.array([case.probe.drive.free_amplitude + 0j]))
     height = centre(raw)
     time = np.interp(height, raw["z"].values[::-1], np.linspace(0.0, CURVE_TIME, HEIGHTS)[::-1])
-    read = signals_of(measured(case, first, height, np.array([time]), drive=0.0, stream=9, noise=False)).phasor
+    first = free(np.array([case.probe.drive.free_amplitude + 0j]))
+    read = signals_of(
+        measured(case, first, height, np.array([time]), drive=0.0, stream=9, noise=False)
+    ).phasor
     return complex(read[2][0] * (np.conj(read[1][0]) / abs(read[1][0])) ** 2)
+
+
+def round_trip(number: int, far_fields: Sequence[str] | None = None) -> list[Outcome]:
+    """Return the outcomes of an instrument."""
+    case = drawn(number)
+    raw = curve_data(case)
+    chosen = far_fields if far_fields is not None else [f for f in FAR_FIELDS if number // 2 % EVERY[f] == 0]
+    return [outcome(case, raw, far_field) for far_field in chosen]
+
+
+# --- tables -----------------------------------------------------------------------------------------------------
+
+
+class Row(NamedTuple):
+    """A line of the table: one signal or unknown, of one kind of instrument, with some far-field data."""
+
+    kind: str
+    far_field: str
+    name: str
+    instruments: int
+    before: float
+    """Median residual before a correction over injected noise; of unknowns NaN, as the next four."""
+    median: float
+    """Of the residual over injected noise."""
+    worst: float
+    within_2: float
+    """Share of instruments with a residual of no more than twice the injected noise."""
+    excess: float
+    """Median of what the residual has beyond the noise, in quadrature [m]."""
+    covered: float
+    """Share of true values in their 90 % intervals."""
+    spread: float
+    """rms error over stated error."""
+    error: float
+    """Median stated error [SI]."""
+
+
+def table(outcomes: Sequence[Outcome]) -> list[Row]:
+    """Return numbers over all instruments, rounded to what is written."""
+    rows = []
+    for kind in (ANALYTIC, IN_TIME):
+        for far_field in FAR_FIELDS:
+            some = [o for o in outcomes if (o.kind, o.far_field) == (kind, far_field)]
+            for name in (*SIGNALS, *UNKNOWNS) if some else ():
+                rows.append(Row(kind, far_field, name, len(some), *map(rounded, _numbers(name, some))))
+    return rows
+
+
+def _numbers(name: str, some: Sequence[Outcome]) -> list[float]:
+    off = [o.off[name] for o in some]
+    kept = np.concatenate([z for z in off if np.isfinite(z).all()])
+    # every instrument counts alike, however many points it has
+    said = [float(np.mean([(np.abs(z) < NINETY).mean() for z in off])), rms(kept)]
+    said.append(float(np.median([o.error.get(name, math.inf) for o in some])))
+    if name in UNKNOWNS:
+        return [math.nan] * 5 + said
+    before, after = (
+        np.array([getattr(o, w)[name] / o.noise[name] for o in some]) for w in ("before", "residual")
+    )
+    excess = [math.sqrt(max(o.residual[name] ** 2 - o.noise[name] ** 2, 0.0)) for o in some]
+    ratios = [
+        float(np.median(before)),
+        float(np.median(after)),
+        float(after.max()),
+        float((after <= 2.0).mean()),
+    ]
+    return [*ratios, float(np.median(excess)), *said]
+
+
+def rounded(value: float) -> float:
+    """Return a number with three digits."""
+    return float(f"{value:.3g}")
+
+
+def write_table(rows: list[Row], path: Path) -> None:
+    """Write the table as text that a spreadsheet can read."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        csv.writer(file, lineterminator="\n").writerows([Row._fields, *rows])
+
+
+def markdown(rows: list[Row]) -> tuple[str, str]:
+    """Return the two tables of the page: residuals over noise, and what 90 % intervals cover."""
+    kept = {(row.kind, row.far_field, row.name): row for row in rows}
+    groups = [(f, k) for f in FAR_FIELDS for k in (ANALYTIC, IN_TIME) if (k, f, "a2") in kept]
+    first = ["| far-field data | kind | instruments | A0 | a2 | a3 |", "|---|---|---|---|---|---|"]
+    second = [
+        "| far-field data | kind | A0 | a2 | a3 | " + " | ".join(TITLES[name] for name in UNKNOWNS) + " |",
+        "|---|---|" + "---|" * (len(SIGNALS) + len(UNKNOWNS)),
+    ]
+    for kind in (ANALYTIC, IN_TIME):
+        cells = [f"{kept[kind, NONE, name].before:.3g}" for name in SIGNALS]
+        first.append(
+            f"| not corrected | {kind} | {kept[kind, NONE, 'a2'].instruments} | {' | '.join(cells)} |"
+        )
+    for far_field, kind in groups:
+        row = {name: kept[kind, far_field, name] for name in (*SIGNALS, *UNKNOWNS)}
+        cells = [
+            f"{r.median:.2f} / {r.worst:.2f} ({100 * r.within_2:.0f})" for r in (row[n] for n in SIGNALS)
+        ]
+        first.append(f"| {far_field} | {kind} | {row['a2'].instruments} | {' | '.join(cells)} |")
+        cells = [f"{100 * row[name].covered:.0f}" for name in SIGNALS]
+        cells += [f"{100 * row[n].covered:.0f} ({row[n].error * SHOWN[n]:.2g})" for n in UNKNOWNS]
+        second.append(f"| {far_field} | {kind} | {' | '.join(cells)} |")
+    return "\n".join(first) + "\n", "\n".join(second) + "\n"
+
+
+def write_page(tables: tuple[str, str], path: Path) -> None:
+    """Put the tables where the page has had them: each begins with "far-field data" and ends before an empty line."""
+    text = path.read_text(encoding="utf-8")
+    old = re.findall(r"^\| far-field data \| .+?\n(?=\n)", text, re.M | re.S)
+    for before, after in zip(old, tables, strict=True):
+        text = text.replace(before, after)
+    path.write_text(text, encoding="utf-8")
+
+
+def told(o: Outcome) -> str:
+    """Return an outcome in a few lines."""
+    signals = ", ".join(
+        f"{name} {o.residual[name] * 1e12:.2f} pm ({o.residual[name] / o.noise[name]:.2f} x noise, before "
+        f"{o.before[name] / o.noise[name]:.0f} x), {rms(o.off[name]):.2f} sigma"
+        for name in SIGNALS
+    )
+    others = ", ".join(f"{name} {o.off[name][0]:+.2f} sigma" for name in UNKNOWNS)
+    findings = "".join(f"\n    {sentence}" for sentence in o.findings)
+    return f"{o.number} ({o.kind}), far-field data: {o.far_field}\n  {signals}\n  {others}{findings}"
+
+
+# --- figure -----------------------------------------------------------------------------------------------------
+
+
+def figure(outcomes: Sequence[Outcome], example: int = EXAMPLE) -> Figure:
+    """Return an example, how large residuals are, and what intervals cover."""
+    result = new_figure(10.0, 3.8)
+    result.set_dpi(150)
+    left, middle, right = result.subplots(1, 3)
+    _example(left, drawn(example))
+    styles = {LADDER: PALETTE[0], WIDE: PALETTE[2], DRIVES: PALETTE[5], NONE: "#000000"}
+    levels = np.linspace(0.02, 0.98, 49)
+    bounds = [NormalDist().inv_cdf(0.5 + 0.5 * level) for level in levels]
+    for far_field, colour in styles.items():
+        for kind, line in ((ANALYTIC, "--"), (IN_TIME, "-")):
+            some = [o for o in outcomes if (o.kind, o.far_field) == (kind, far_field)]
+            ratio = np.sort([o.residual["a2"] / o.noise["a2"] for o in some])
+            label = {"color": colour, "linestyle": line, "linewidth": 1.3, "label": f"{far_field} ({kind})"}
+            middle.semilogx(ratio, 100 * np.arange(1, ratio.size + 1) / max(ratio.size, 1), **label)
+            covers = [np.mean([(np.abs(o.off["a2"]) < b).mean() for o in some]) for b in bounds if some]
+            right.plot(100 * levels[: len(covers)], 100 * np.array(covers), **label)
+    middle.axvline(2.0, color="0.6", linewidth=0.8)
+    middle.set_xlim(0.7, 20.0)
+    middle.set_ylim(0.0, 100.0)
+    right.plot([0, 100], [0, 100], color="0.6", linewidth=0.8)
+    _dress(middle, "residual of a2 over injected noise", "share of instruments below [%]", "(b) residual")
+    _dress(right, "stated [%]", "true values of a2 inside [%]", "(c) intervals")
+    handles, labels = middle.get_legend_handles_labels()
+    result.tight_layout(rect=(0.0, 0.13, 1.0, 1.0))
+    result.legend(handles, labels, fontsize=TICK_SIZE, ncols=4, frameon=False, loc="lower center")
+    return result
+
+
+def _example(axes: Axes, case: Case) -> None:
+    """Draw A2 of an instrument: as read, corrected and true."""
+    raw = curve_data(case)
+    given = ot.Reference(poisson_ratio=0.35, modulus=case.modulus, modulus_error=0.1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        clean = ot.correct(
+            raw, ot.calibrate(raw, case.stated, reference=given, far_field=far_data(case, LADDER))
+        )
+    z = 1e9 * case.truth["z"].values
+    axes.plot(z, 1e12 * raw["A2"], color=PALETTE[5], linewidth=1.2, label="as read")
+    axes.plot(z, 1e12 * clean["A2"], ".", color=PALETTE[0], markersize=2.5, label="corrected")
+    axes.plot(z, 1e12 * case.truth["A2"], color="#000000", linewidth=1.0, label="true")
+    axes.legend(fontsize=TICK_SIZE, frameon=False)
+    _dress(axes, "Z [nm]", "A2 [pm]", f"(a) instrument {case.number}")
+
+
+def _dress(axes: Axes, x: str, y: str, title: str) -> None:
+    axes.set_xlabel(x, fontsize=LABEL_SIZE)
+    axes.set_ylabel(y, fontsize=LABEL_SIZE)
+    axes.set_title(title, fontsize=TITLE_SIZE, loc="left")
+    axes.tick_params(labelsize=TICK_SIZE)
+    axes.grid(color="0.9", linewidth=0.6)
+    axes.set_axisbelow(True)
+
+
+def main() -> None:
+    """Write table and figure, or print what becomes of the instruments whose numbers are given."""
+    if numbers := [int(text) for text in sys.argv[1:]]:
+        for number in numbers:
+            print(*map(told, round_trip(number, tuple(FAR_FIELDS))), sep="\n")  # noqa: T201
+        return
+    with ProcessPoolExecutor(2) as pool:
+        outcomes = [o for some in pool.map(round_trip, range(COUNT)) for o in some]
+    rows = table(outcomes)
+    write_table(rows, FOLDER / "instruments.csv")
+    tables = markdown(rows)
+    write_page(tables, FOLDER / "instruments.md")
+    (FOLDER / "images" / "instruments.png").write_bytes(png_bytes(figure(outcomes)))
+    over = [o for o in outcomes if o.far_field in (LADDER, WIDE) and o.residual["a2"] > 2.0 * o.noise["a2"]]
+    lost = [o for o in outcomes if not math.isfinite(o.residual["a2"])]
+    print(*tables, sep="\n")  # noqa: T201
+    print(f"{len(over)} above twice the noise though frequencies span, {len(lost)} lost")  # noqa: T201
+    print(*map(told, [*over, *lost]), sep="\n")  # noqa: T201
+
+
+if __name__ == "__main__":
+    main()

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import xarray as xr
 
 from overtone.cli import main
 from overtone.demo import virtual_scan
+from overtone.instrument.calibration import load_calibration
 from overtone.inversion.properties import MISSING_DATA, NOT_DETERMINED
 from overtone.io.netcdf import load, save
 
@@ -277,15 +277,26 @@ def test_the_demo_writes_what_it_says(tmp_path: Path, capsys: pytest.CaptureFixt
     stiff = result["material_truth"] == 0
     status = result["status"].sel(harmonics="harmonics 1 2 3")
     assert float((status == 0).where(stiff).mean()) < 0.01
-    assert float((status == 0).where(~stiff).mean()) > 0.9
+    assert float((status == 0).where(~stiff).mean()) > 0.5
+    soft = result["modulus"].sel(harmonics="harmonics 1 2 3").where(~stiff) / truth
+    assert 0.85 < float(soft.median()) < 1.15
     low, high = (result[f"modulus_{end}"].sel(harmonics="harmonics 1 2 3") for end in ("lower", "upper"))
-    assert 0.88 < float(((low <= truth) & (truth <= high)).mean()) < 0.98
-    again = tmp_path / "maps.nc"
-    assert run("map", tmp_path / "demo" / "scan.nc", "-o", again, "--poisson-ratio", 0.35) == 0
-    xr.testing.assert_equal(
-        load(again)["modulus_unscreened"].drop_attrs(),
-        result["modulus_unscreened"].sel(harmonics="harmonics 0 1 2", drop=True).drop_attrs(),
+    assert 0.88 < float(((low <= truth) & (truth <= high)).mean()) < 0.99
+    # the same from its files, by the commands of the README
+    again, remade, folder = tmp_path / "maps.nc", tmp_path / "calibration.toml", tmp_path / "demo"
+    reference = ("--reference", "E=2 GPa, nu=0.35, name=PS", "--far-field", folder / "ladder.nc")
+    assert run("calibrate", folder / "curve.nc", *reference, "-o", remade) == 0
+    assert load_calibration(remade).values == pytest.approx(
+        load_calibration(folder / "calibration.toml").values, rel=1e-4, abs=1e-15
     )
+    calibrated = ("--calibration", folder / "calibration.toml", "--lift")
+    assert (
+        run("map", folder / "scan.nc", *calibrated, "-o", again, "--poisson-ratio", 0.35, "--model", "dmt")
+        == 0
+    )
+    ratio = load(again)["modulus_unscreened"] / result["modulus_unscreened"].sel(harmonics="harmonics 0 1 2")
+    # decimals in the file of the calibration, and how little these pixels determine
+    assert float(abs(np.log(ratio)).median()) < 1e-4
 
 
 def test_a_demo_that_cannot_be_written_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -139,7 +139,7 @@ def calibrate(
         priors=priors,
     )
     findings += far.findings
-    near, quality_error = near_lever(free, probe, far_field, far.values["compression"], findings)
+    near, quality_error = near_lever(free, probe, far_field, _compression(far), findings)
     if quality_error is not None and "quality_factor" not in (errors or {}):
         width["quality_factor"] = quality_error
     sigma = {**free.scatter, **far.noise, **dict(noise or {})}
@@ -246,6 +246,11 @@ def _far_points(parts: CurveParts, far_field: xr.Dataset | None, findings: list[
         {**others.signals.phasor, **{n: gone + 0j for n in missing if n > 0}},
     )
     return joined([own, replace(others, signals=filled)])
+
+
+def _compression(far: FarField) -> tuple[float, float]:
+    index = list(far.values).index("compression")
+    return far.values["compression"], math.sqrt(float(far.covariance[index, index]))
 
 
 def _mean_error(sigma: float, parts: CurveParts, free: FreeLever) -> float:

@@ -24,7 +24,11 @@ _OFF = 0.03  # relative, between stated and measured free amplitude
 
 
 def near_lever(
-    free: FreeLever, probe: Probe, far_field: xr.Dataset | None, compression: float, findings: list[str]
+    free: FreeLever,
+    probe: Probe,
+    far_field: xr.Dataset | None,
+    compression: tuple[float, float],
+    findings: list[str],
 ) -> tuple[Probe, float | None]:
     """Return the lever just above the sample.
 
@@ -36,8 +40,8 @@ def near_lever(
         As stated.
     far_field : Dataset, optional
         A ladder of drive frequencies, which tells resonance and Q.
-    compression : float
-        Share of A1 that the detector loses at the free amplitude.
+    compression : (float, float)
+        Share of A1 that the detector loses at the free amplitude, and its standard deviation.
     findings : list of str
         Gets a sentence for everything that is not as stated.
 
@@ -51,10 +55,15 @@ def near_lever(
     amplitude, far_end, changes = abs(free.onset), free.far_end, free.changes
     before = replace(probe, drive=replace(probe.drive, free_amplitude=abs(far_end)))
     quality_error = None
-    ladder = _resonance(far_field, probe, compression, amplitude)
+    ladder, otherwise = (
+        _resonance(far_field, probe, share, amplitude) for share in (compression[0], sum(compression))
+    )
     if ladder is not None and ladder.probe is not None:
         mode, stated = ladder.probe.cantilever.modes[0], probe.cantilever.modes[0]
-        quality_error = max(ladder.quality_factor_error / mode.quality_factor, _LEAST_QUALITY_ERROR)
+        # a detector that flattens the peak broadens it
+        broadened = 0.0 if otherwise is None else otherwise.quality_factor / mode.quality_factor - 1.0
+        quality_error = math.hypot(ladder.quality_factor_error / mode.quality_factor, broadened)
+        quality_error = max(quality_error, _LEAST_QUALITY_ERROR)
         findings.append(
             f"resonance and Q from the frequency ladder: {mode.frequency / 1e3:.6g} kHz and {mode.quality_factor:.4g}, "
             f"where the probe says {stated.frequency / 1e3:.6g} kHz and {stated.quality_factor:.4g}"

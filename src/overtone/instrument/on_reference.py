@@ -28,9 +28,8 @@ _FEWEST_CONTACT = 6
 _BAD_FIT = 1.5  # of chi-squared over its freedom
 _LEAST_GAIN = 0.2
 _HOPELESS = 30.0
-_FOLLOWED = (
-    1e-3  # of what the detector adds at the free amplitude: so closely its bend is followed down the curve
-)
+# of what the detector adds at the free amplitude: so closely is its bend followed down the curve
+_FOLLOWED = 2e-3
 
 
 class Setting(NamedTuple):
