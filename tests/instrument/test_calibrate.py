@@ -199,7 +199,7 @@ def test_without_a_stated_modulus_gains_and_modulus_share_their_error(
     assert known.reference is not None
     modulus, error = unknown.reference.properties["modulus"]
     assert modulus == pytest.approx(93.78e6, rel=0.1)
-    assert error > 3.0 * known.reference.properties["modulus"][1]
+    assert error > 2.0 * known.reference.properties["modulus"][1]
     assert unknown.reference.stated == ()
     for name in ("gain0", "gain2"):
         assert unknown.error(name) > 1.02 * known.error(name)
@@ -213,7 +213,8 @@ def test_without_the_third_harmonic(
     assert re.search("no third harmonic far from the surface", said)
     assert "gain3" not in result.names
     assert "e3_re" not in result.curve
-    few = {name: true for name, true in TRUTH.items() if not name.endswith("3")}
+    # how much of A1 the detector loses is then unknown, and a stiff reference takes it for a part of its force
+    few = {name: TRUTH[name] for name in ("gain0", "gain2", "latency2", "phi1_offset", "stiffness")}
     assert np.abs(scores(result, few)).max() < 3.0
     assert result.error("compression") == pytest.approx(0.01, rel=0.2)
 

@@ -20,7 +20,7 @@ from overtone.errors import CalibrationError, CalibrationWarning
 from overtone.harmonics import far_phase
 from overtone.instrument.approach_fit import Reference
 from overtone.instrument.calibration import Calibration, joint
-from overtone.instrument.curve_parts import CurveParts, FreeLever, free_lever, split_curve, taken
+from overtone.instrument.curve_parts import CurveParts, FreeLever, free_lever, split_curve, taken, wander
 from overtone.instrument.far_field import PRIORS, FarField, FarPoints, joined, ladder_points
 from overtone.instrument.far_field import far_field as regress_far_field
 from overtone.instrument.near_lever import near_lever
@@ -138,6 +138,7 @@ def calibrate(
         noise=noise,
         priors=priors,
     )
+    far = _wandering(far, wander(parts))
     findings += far.findings
     near, quality_error = near_lever(free, probe, far_field, _compression(far), findings)
     if quality_error is not None and "quality_factor" not in (errors or {}):
@@ -158,6 +159,15 @@ def calibrate(
     for sentence in result.findings:
         warnings.warn(sentence, CalibrationWarning, stacklevel=2)
     return replace(result, source=str(approach.attrs.get("source", "")))
+
+
+def _wandering(far: FarField, slow: float) -> FarField:
+    """Return far-field results whose zero of A0 may be another one in contact, by 1/f noise [m]."""
+    if "A0_offset" not in far.values:
+        return far
+    covariance, index = far.covariance.copy(), list(far.values).index("A0_offset")
+    covariance[index, index] += slow**2
+    return replace(far, covariance=covariance)
 
 
 def _check(approach: xr.Dataset, probe: Probe) -> None:

@@ -27,6 +27,7 @@ _AFTER_JUMP = 2  # points that a jump may have spoilt
 _LEAST_NOISE = 1e-15  # [m], of data without any
 _LEAST_DRIFTING = 10  # far points from which a change along them can be told
 _EVIDENCE = 4.0  # standard errors of that change
+_BLOCKS, _FEWEST_A_BLOCK = 8, 4  # of the far part, for 1/f noise
 
 
 class CurveParts(NamedTuple):
@@ -146,6 +147,24 @@ def free_lever(parts: CurveParts) -> FreeLever:
     ends = (complex((line[0] + line[1] * design[0, 1]) * middle), complex(line[0] * middle))
     far_end, onset = ends if changes else (mean, mean)
     return FreeLever(far_end, onset, changes, {"A1": radial, "phi1": tangential / abs(mean)})
+
+
+def wander(parts: CurveParts) -> float:
+    """Return by how much the mean deflection wanders between the far part and contact, beyond white noise [m].
+
+    From averages over eighths of the far part about a straight line: of 1/f noise they vary as much as averages far
+    apart do, twice that in their difference. 0 where the far part is too short to tell, or nothing is left.
+    """
+    mean, height = parts.signals.mean, parts.height[parts.far]
+    if mean is None or height.size < _BLOCKS * _FEWEST_A_BLOCK:
+        return 0.0
+    values = mean[parts.far]
+    design = np.column_stack([np.ones(height.size), height - height.mean()])
+    rest = values - design @ np.linalg.lstsq(design, values, rcond=None)[0]
+    blocks = np.array([block.mean() for block in np.array_split(rest, _BLOCKS)])
+    white = float(np.mean(np.diff(rest) ** 2)) / 2.0
+    slow = float(blocks @ blocks) / (_BLOCKS - 2) - white * _BLOCKS / height.size
+    return math.sqrt(2.0 * max(slow, 0.0))
 
 
 def binned(parts: CurveParts, amplitude: float, bins: int) -> tuple[Signals, _Floats, _Floats]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 import numpy.typing as npt
@@ -11,12 +12,12 @@ import xarray as xr
 from overtone.errors import CalibrationError
 from overtone.harmonics import far_phase
 from overtone.instrument.calibration import Calibration
+from overtone.instrument.curve_parts import taken
 from overtone.instrument.drift import smooth_lines
 from overtone.instrument.signals import Positions, Signals, signals_of
 from overtone.instrument.state import State
 from overtone.instrument.unknowns import (
     HIGHER,
-    TERMS,
     crosstalk_of,
     distortion_basis,
     distortion_of,
@@ -35,6 +36,7 @@ _FREE_ERROR = (
     0.002  # of the free amplitude in a lift pass, and of its phase: the film of air changes with height
 )
 _BACKGROUND = 1e-12  # [m] what a lift pass cannot tell of the background in contact
+_ENOUGH = 4000  # pixels of a lift pass that are looked at
 _FAST = 3.0  # of errors: neighbours share 1/f noise
 
 
@@ -184,32 +186,27 @@ def _mean_of_lift(
 
 
 def _background(free: Signals, where: Positions, state: State, amplitude: float) -> State:
-    """Let the higher harmonics of the lift pass measure what the detector and the electronics add to them."""
-    for n in HIGHER:
-        if n not in free.phasor or f"crosstalk{n}_re" not in state.names:
-            continue
-        clean = undo(free, state.values, amplitude, **where._asdict()).phasor[n]
-        back = state.values[f"gain{n}"] * np.exp(
-            -1j * (state.values[f"latency{n}"] + n * state.values["phi1_offset"])
-        )
-        rest = clean * back  # should be nothing, in the frame of the readings
-        good = np.isfinite(rest)
-        if not good.any():
-            continue
-        basis = distortion_basis(free.phasor[1][good], n, amplitude).mean(axis=0)
-        weights: list[dict[str, float]] = [{f"crosstalk{n}_re": 1.0}, {f"crosstalk{n}_im": 1.0}]
-        for j in range(TERMS):
-            re, im = f"distortion{n}_{j}_re", f"distortion{n}_{j}_im"
-            weights[0] |= {re: float(basis[j].real), im: -float(basis[j].imag)}
-            weights[1] |= {re: float(basis[j].imag), im: float(basis[j].real)}
-        value = complex(rest[good].mean())
-        variance = _FAST**2 * float(np.var(rest[good])) / good.sum() / 2.0
-        state = state.measured(
-            np.array([value.real, value.imag]),
-            np.stack([state.row(**row) for row in weights]),
-            np.full(2, variance + _BACKGROUND**2),
-        )
-    return state
+    """Let the higher harmonics of the lift pass, which are all background, measure everything that makes them."""
+    orders = [n for n in HIGHER if n in free.phasor and f"crosstalk{n}_re" in state.names]
+    step = max(1, free.phasor[1].size // _ENOUGH)
+    every = np.zeros(free.phasor[1].shape, bool)
+    every.ravel()[::step] = True
+    pixels, there = taken(free, every), Positions(*(part[every] for part in where))
+
+    def left(values: Mapping[str, float]) -> _Floats:  # (part, pixel)
+        clean = undo(pixels, values, amplitude, **there._asdict())
+        return np.array([part for n in orders for part in (clean.phasor[n].real, clean.phasor[n].imag)])
+
+    here = left(state.values)
+    if not orders or not np.isfinite(here).any(axis=1).all():
+        return state
+    H = np.zeros((len(here), len(state.names)))
+    for j, name in enumerate(state.names):
+        width = max(1e-3 * state.error(name), 1e-18)
+        H[:, j] = np.nanmean(left({**state.values, name: state.values[name] + width}) - here, axis=1) / width
+    count = np.isfinite(here).sum(axis=1)
+    variance = _FAST**2 * np.nanvar(here, axis=1) / count + _BACKGROUND**2
+    return state.measured(-np.nanmean(here, axis=1), H, variance)
 
 
 def with_slopes(data: _Floats, good: _Mask, where: Positions, state: State) -> State:
