@@ -473,7 +473,7 @@ def outcome(case: Case, raw: xr.Dataset, far_field: str) -> Outcome:
             )
             clean = ot.correct(raw, calibration)
     except OvertoneError as fault:
-        lost = dict.fromkeys(SIGNALS, math.inf)
+        lost = dict.fromkeys((*SIGNALS, *UNKNOWNS), math.inf)
         nowhere = {name: np.full(1, math.inf) for name in (*SIGNALS, *UNKNOWNS)}
         return Outcome(
             case.number, case.kind, far_field, size, noise, before, lost, nowhere, lost, (str(fault),)

@@ -28,6 +28,7 @@ _Mask = npt.NDArray[np.bool_]
 
 _PREDICTED = 0.005  # relative error of what the fitted curve says of the reference: a curve is a model, too
 _FEWEST = 25  # pixels on the curve
+_ENOUGH = 500  # pixels for a derivative
 _ALIKE = 25.0  # neighbours that count as one: they are not independent of each other
 _DRIFTING = {"free_amplitude": 1e-3, "quality_factor": 1e-3, "resonance": 1e-6}  # steps, relative
 
@@ -53,7 +54,9 @@ def reference_mask(
         raise CalibrationError(
             "unknown choice of the reference", expected="auto, a mask or a rectangle", got=repr(reference)
         )
-    off = off_the_curve(Signals(None, read.phasor), where, state, calibration)
+    # the zero of A0 drifts; what moved the spot has to be known all the same, for the second harmonic
+    off = off_the_curve(read, where, state, calibration)
+    off.pop("A0", None)
     on_curve = np.isfinite(off["phi1"]) & (True if marked is None else marked)
     if int(on_curve.sum()) < _FEWEST:
         A = calibration.curve["A1"]
@@ -66,7 +69,7 @@ def reference_mask(
         )
     if marked is not None:
         return marked
-    tolerance = _drift_error(Signals(None, read.phasor), where, state, calibration, tuple(off))
+    tolerance = _drift_error(read, where, state, calibration, tuple(off))
     # the phase may have drifted during the scan as far as since the calibration
     return find_reference(off, tolerance, {"phi1": tolerance["phi1"]}, findings)
 
@@ -179,7 +182,13 @@ def off_the_curve(
 def _jacobian(
     read: Signals, where: Positions, state: State, calibration: Calibration, names: tuple[str, ...]
 ) -> _Floats:
-    """Return d(median off)/d(unknown) of the correction, one row a reading."""
+    """Return d(median off)/d(unknown) of the correction, one row a reading, from some of the pixels."""
+    known = np.flatnonzero(np.isfinite(read.phasor[1]))
+    some = known[:: max(1, known.size // _ENOUGH)]
+    flat = Signals(
+        read.mean.ravel() if read.mean is not None else None, {n: a.ravel() for n, a in read.phasor.items()}
+    )
+    read, where = taken(flat, some), Positions(*(part.ravel()[some] for part in where))
     here = off_the_curve(read, where, state, calibration)
     J = np.zeros((len(names), len(state.names)))
     for j, name in enumerate(state.names):

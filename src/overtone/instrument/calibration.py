@@ -215,6 +215,9 @@ def _property_unit(name: str) -> str:
 
 
 def _record(table: Mapping[str, Any]) -> Calibration:
+    for section in ("calibration", "probe", "values", "covariance"):
+        if not isinstance(table.get(section), Mapping):
+            raise ValueError(f"no section [{section}]")
     head = table["calibration"]
     if head["format"] != _FORMAT:
         raise ValueError(f"format {head['format']!r}, where this version reads {_FORMAT}")
@@ -259,6 +262,8 @@ def _covariance(part: Mapping[str, Any]) -> tuple[tuple[str, ...], _Floats]:
     _refuse_strangers("covariance", names, NAMES)
     if len(set(names)) < len(names):
         raise ValueError("a name that stands twice in the covariance")
+    if len(part["errors"]) != len(names):
+        raise ValueError("errors that are not one for each name in the covariance")
     errors = np.array([parse_quantity(e, _UNIT[n], n) for e, n in zip(part["errors"], names, strict=True)])
     rows = part["correlations"]
     if [len(row) for row in rows] != list(range(1, len(names) + 1)):

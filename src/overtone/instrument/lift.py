@@ -32,9 +32,8 @@ _Floats = npt.NDArray[np.float64]
 _Mask = npt.NDArray[np.bool_]
 
 _FREE = 0.1  # of the free amplitude: a lift pass that is farther off is none
-_FREE_ERROR = (
-    0.002  # of the free amplitude in a lift pass, and of its phase: the film of air changes with height
-)
+# of the free amplitude in a lift pass, and of its phase: the film of air changes with height
+_FREE_ERROR = 0.002
 _BACKGROUND = 1e-12  # [m] what a lift pass cannot tell of the background in contact
 _ENOUGH = 4000  # pixels of a lift pass that are looked at
 _FAST = 3.0  # of errors: neighbours share 1/f noise
@@ -131,7 +130,9 @@ def _turn_with_resonance(state: State, calibration: Calibration) -> float:
     """Return d phi_far / d resonance."""
     step = 1e-7
     there, here = (
-        far_phase(probe_with(calibration.probe, {**calibration.values, "resonance": state.values["resonance"] + s}))
+        far_phase(
+            probe_with(calibration.probe, {**calibration.values, "resonance": state.values["resonance"] + s})
+        )
         for s in (step, 0.0)
     )
     return float(wrapped(there - here)) / step
@@ -174,8 +175,12 @@ def _mean_of_lift(
     if lift_height is not None:  # up there the virtual deflection is another one
         rise = state.values["A0_slope_z"] * float(lift_height)
         row = state.row(A0_offset=1.0, A0_slope_z=float(lift_height), **added)
-        off = np.array([middle - rise - state.values["A0_offset"]])
-        state = state.measured(off, row[None, :], np.array([np.mean(error**2)]))
+        off = middle - rise - state.values["A0_offset"]
+        # a spot that has moved reads more where the lever swings less; electronics that have drifted do not
+        chi, u = state.values["compression"], _share(read, amplitude)
+        unsure = 0.5 * off * ((1.0 - 2.0 * chi * u) / (1.0 - 2.0 * chi) - 1.0)
+        variance = float(np.mean(error**2)) + unsure**2
+        state = state.measured(np.array([off + unsure]), row[None, :], np.array([variance]))
         at = f"is {format_quantity(middle - rise, 'm')} at the height of the scan,"
     findings.append(
         f"lift pass: A0 without the sample {at} drifts by "
@@ -183,6 +188,12 @@ def _mean_of_lift(
         f"{1e3 * state.values['A0_slope_z']:.3g} nm/um; taken out"
     )
     return read, state
+
+
+def _share(read: Signals, amplitude: float) -> float:
+    """Return the median of |a_1|^2/A_ref^2."""
+    u = np.abs(read.phasor[1] / amplitude) ** 2
+    return float(np.median(u[np.isfinite(u)]))
 
 
 def _background(free: Signals, where: Positions, state: State, amplitude: float) -> State:

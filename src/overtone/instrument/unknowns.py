@@ -144,6 +144,7 @@ def crosstalk_of(values: Mapping[str, float], n: int) -> complex:
     return complex(values[f"crosstalk{n}_re"], values[f"crosstalk{n}_im"])
 
 
+@np.errstate(invalid="ignore")  # lost pixels stay lost
 def undo(
     read: Signals,
     values: Mapping[str, float],
