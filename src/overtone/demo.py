@@ -118,7 +118,7 @@ def _noise_text(name: str) -> str:
 
 
 def demo_instrument() -> Instrument:
-    """Return a microscope that does what real ones do: a spot beside the middle of its diode, drift, crosstalk, a film of air."""
+    """Return a microscope as real ones are: a spot beside the middle of its diode, drift, crosstalk, a film of air."""
     return Instrument(
         mean_offset=1.5e-9,
         mean_slope_z=3e-3,

@@ -131,7 +131,9 @@ class Instrument:
             if not (low <= value if equal else low < value) or not math.isfinite(value)
         ]
         if bad:
-            raise OvertoneError("unphysical instrument", expected="finite positive numbers", got="; ".join(bad))
+            raise OvertoneError(
+                "unphysical instrument", expected="finite positive numbers", got="; ".join(bad)
+            )
         if self.diode is not None and self.distortion:
             raise OvertoneError(
                 "an instrument has a photodiode or a distortion, not both", hint="leave one of them out"
@@ -139,7 +141,8 @@ class Instrument:
         orders = {*self.distortion, *self.crosstalk, *self.drive_distortion, *self.latency} - {2, 3}
         if orders or set(self.gains) - {0, 2, 3}:
             raise OvertoneError(
-                "harmonics of an instrument are 2 and 3, and 0 for a gain", got=str(sorted(orders | set(self.gains)))
+                "harmonics of an instrument are 2 and 3, and 0 for a gain",
+                got=str(sorted(orders | set(self.gains))),
             )
 
 
@@ -154,7 +157,9 @@ def lever_at(probe: Probe, instrument: Instrument, *, height: float = math.inf, 
     there = replace(
         first,
         frequency=first.frequency * (1.0 - near.softening * share) + instrument.frequency_drift * time,
-        quality_factor=first.quality_factor * (1.0 - near.damping * share) * (1.0 + instrument.quality_drift * time),
+        quality_factor=first.quality_factor
+        * (1.0 - near.damping * share)
+        * (1.0 + instrument.quality_drift * time),
     )
     moved = replace(probe, cantilever=replace(probe.cantilever, modes=(there, *others)))
     before, after = (abs(complex(free_response(p, p.drive.frequency))) for p in (probe, moved))
@@ -243,10 +248,16 @@ def readings(
         a = signals.phasor[n] * np.exp(-1j * n * instrument.phase_offset)
         if n > 1:
             a = a * instrument.gains.get(n, 1.0) * np.exp(-1j * instrument.latency.get(n, 0.0))
-            a = a + instrument.crosstalk.get(n, 0.0) * drive + instrument.drive_distortion.get(n, 0.0) * drive**2
+            a = (
+                a
+                + instrument.crosstalk.get(n, 0.0) * drive
+                + instrument.drive_distortion.get(n, 0.0) * drive**2
+            )
         phasors[n] = a + noise(sigma[f"A{n}"]) + 1j * noise(sigma[f"A{n}"])
     kept = {f"{letter}{n}" for n in orders for letter in ("A", "phi")} | {"height"}
-    return with_signals(motion[[str(name) for name in motion.data_vars if name in kept]], Signals(mean, phasors))
+    return with_signals(
+        motion[[str(name) for name in motion.data_vars if name in kept]], Signals(mean, phasors)
+    )
 
 
 def _detected(motion: xr.Dataset, instrument: Instrument, probe: Probe, shift: _Floats) -> Signals:
@@ -257,7 +268,11 @@ def _detected(motion: xr.Dataset, instrument: Instrument, probe: Probe, shift: _
     like = motion["A1"]
     moved = xr.DataArray(np.broadcast_to(shift, like.shape), dims=like.dims)
     free = xr.Dataset(
-        {name: named_array(name, value, ()) for name, value in (("A0", 0.0), ("A1", probe.drive.free_amplitude), ("phi1", 0.0))}
+        {
+            "A0": named_array("A0", 0.0, ()),
+            "A1": named_array("A1", probe.drive.free_amplitude, ()),
+            "phi1": named_array("phi1", 0.0, ()),
+        }
     )
     if instrument.diode is not None:
         names = [name for n in signals_of(motion).orders for name in ((f"A{n}", f"phi{n}") if n else ("A0",))]
@@ -294,7 +309,9 @@ def _bent(signals: Signals, shift: _Floats, distortion: Mapping[int, float]) -> 
     )
 
 
-def flicker_noise(instrument: Instrument, count: int, interval: float, generator: np.random.Generator) -> _Floats:
+def flicker_noise(
+    instrument: Instrument, count: int, interval: float, generator: np.random.Generator
+) -> _Floats:
     """Return 1/f noise of the mean deflection in time [m].
 
     Parameters
