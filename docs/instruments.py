@@ -659,6 +659,13 @@ def write_table(rows: list[Row], path: Path) -> None:
         csv.writer(file, lineterminator="\n").writerows([Row._fields, *rows])
 
 
+def read_table(path: Path) -> list[Row]:
+    """Return what `write_table` wrote."""
+    with path.open(newline="", encoding="utf-8") as file:
+        lines = list(csv.reader(file))[1:]
+    return [Row(*line[:3], int(line[3]), *map(float, line[4:])) for line in lines]
+
+
 def markdown(rows: list[Row]) -> tuple[str, str]:
     """Return the two tables of the page: residuals over noise, and what 90 % intervals cover."""
     kept = {(row.kind, row.far_field, row.name): row for row in rows}
@@ -676,7 +683,7 @@ def markdown(rows: list[Row]) -> tuple[str, str]:
     for far_field, kind in groups:
         row = {name: kept[kind, far_field, name] for name in (*SIGNALS, *UNKNOWNS)}
         cells = [
-            f"{r.median:.2f} / {r.worst:.2f} ({100 * r.within_2:.0f})" for r in (row[n] for n in SIGNALS)
+            f"{r.median:.3g} / {r.worst:.3g} ({100 * r.within_2:.0f})" for r in (row[n] for n in SIGNALS)
         ]
         first.append(f"| {far_field} | {kind} | {row['a2'].instruments} | {' | '.join(cells)} |")
         cells = [f"{100 * row[name].covered:.0f}" for name in SIGNALS]

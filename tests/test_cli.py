@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import xarray as xr
 
 from overtone.cli import main
 from overtone.demo import virtual_scan
@@ -228,6 +229,53 @@ def test_inspect_real_files(name: str, afm_data: Path, capsys: pytest.CaptureFix
     if name == "tono_whiskers":
         assert "factory default" in printed
         assert "UncalibratedWarning" in printed
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--lift"], "--lift corrects a scan: expected a calibration"),
+        (["--reference-area", "none"], "--reference-area corrects a scan: expected a calibration"),
+        (["--calibration", "absent.toml"], "cannot read the calibration"),
+        (["--calibration", "PROBE"], "is no calibration, or damaged"),
+    ],
+)
+def test_corrections_without_a_calibration_are_named(
+    scan_file: Path,
+    probe_file: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    options: list[str],
+    message: str,
+) -> None:
+    out, page = tmp_path / "maps.nc", tmp_path / "maps.html"
+    given = [probe_file if option == "PROBE" else option for option in options]
+    assert run("map", scan_file, "-o", out, "--report", page, *given) == 1
+    assert message in flat(capsys.readouterr().err)
+    assert not out.exists()
+    assert not page.exists()
+
+
+def test_noise_is_told_from_trace_and_retrace(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Two noisy copies of one scan: 5 pm on A0 and 1 pm on A2, which the file does not say."""
+    ways = [virtual_scan(shape=(20, 24), seed=3)[0]]
+    motion = virtual_scan(shape=(20, 24), seed=3)[0]
+    g = np.random.default_rng(4)
+    for way in (ways[0], motion):
+        way["A0"] = way["A0"] + g.normal(0.0, 4e-12, way["A0"].shape)
+    ways.append(motion)
+    both = xr.concat(ways, dim="direction", combine_attrs="override").assign_coords(
+        direction=["trace", "retrace"]
+    )
+    save(both, tmp_path / "both.nc")
+    base = ["map", tmp_path / "both.nc", "-o", tmp_path / "maps.nc"]
+    assert run(*base, "--direction", "trace") == 0
+    found = re.search(r"Noise, from trace and retrace: .*?A0 ([\d.]+) pm", flat(capsys.readouterr().out))
+    assert found is not None
+    assert float(found.group(1)) == pytest.approx(4.0, rel=0.15)
+    # what is stated stands
+    assert run(*base, "--direction", "trace", "--noise", "A0=7 pm") == 0
+    assert "from trace and retrace" not in flat(capsys.readouterr().out)
 
 
 def test_inspect_says_what_to_ask_for(afm_data: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -26,11 +26,11 @@ from overtone.instrument.instrument import Instrument, NearSurface
 from overtone.instrument.noise import ORDINARY_NOISE, add_noise, noise_from_pair
 from overtone.instrument.phantom import POLYOLEFIN, POLYSTYRENE, Material, blend
 from overtone.instrument.photodiode import SplitDiode
-from overtone.instrument.scan import LIFT, scan_with_truth
+from overtone.instrument.scan import scan_with_truth
 from overtone.inversion.properties import DETERMINED, HARMONIC_SETS, map_energy, map_properties
 from overtone.io.netcdf import save
 from overtone.probe import Probe
-from overtone.quantities import named_array
+from overtone.quantities import LIFT, named_array
 from overtone.readings import Reading, probe_of, with_reading
 from overtone.report.content import Calibrated, Report
 from overtone.report.page import write_report

@@ -72,6 +72,8 @@ _QUANTITIES = (
     Quantity("status", "", "1", "what this pixel can be trusted for", "quality"),
 )
 _BY_NAME = {quantity.name: quantity for quantity in _QUANTITIES}
+LIFT = "lift_"
+"""What begins the names of readings of a lift (Nap) pass, where they stand beside those of the scan."""
 _HARMONIC = re.compile(r"(A|phi)([1-9]\d*)")
 _VARIANTS = {
     "_unscreened": "every pixel the estimator finished",

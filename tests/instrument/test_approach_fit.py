@@ -80,7 +80,7 @@ def test_the_covariance_is_that_of_refits(lever: Probe, soft: Sample) -> None:
     reference = Reference(0.35, modulus=93.78e6, modulus_error=0.05)
     g = np.random.default_rng(8)
     values, chi2 = [], []
-    for _ in range(10):
+    for _ in range(8):
         assert clean.signals.mean is not None
         shape = clean.height.shape
         first = clean.signals.phasor[1]
@@ -112,6 +112,18 @@ def test_an_adhesion_too_small_to_be_seen_does_not_pull_at_the_modulus(lever: Pr
     assert abs(modulus - math.log(1.93e9)) < 0.3 * error
     assert error < 0.8
     assert result.converged
+
+
+def test_without_a_stated_modulus_the_gains_share_its_error(lever: Probe, stiff: Sample) -> None:
+    curve = observed(lever, stiff)
+    known, unknown = (
+        fitted(curve, lever, reference)
+        for reference in (Reference(0.35, modulus=1.93e9, modulus_error=0.01), Reference(0.35))
+    )
+    gain2 = NAMES.index("gain2")
+    wider = math.sqrt(unknown.covariance[gain2, gain2] / known.covariance[gain2, gain2])
+    assert wider > 1.15
+    assert unknown.material["modulus"][1] > 10.0 * known.material["modulus"][1]
 
 
 def test_a_stated_property_is_a_prior(lever: Probe, soft: Sample) -> None:

@@ -103,9 +103,7 @@ def test_what_the_detector_fakes_is_what_the_formula_says(script: ModuleType) ->
 
 def test_the_table_is_the_one_of_the_page(script: ModuleType) -> None:
     page = (SCRIPT.parent / "instruments.md").read_text(encoding="utf-8")
-    with (SCRIPT.parent / "instruments.csv").open(newline="", encoding="utf-8") as file:
-        lines = [line.rstrip("\n").split(",") for line in file][1:]
-    rows = [script.Row(*line[:3], int(line[3]), *map(float, line[4:])) for line in lines]
+    rows = script.read_table(SCRIPT.parent / "instruments.csv")
     for text in script.markdown(rows):
         assert text in page
     for kind in (script.ANALYTIC, script.IN_TIME):

@@ -27,7 +27,7 @@ from overtone.instrument.instrument import Instrument, flicker_noise, readings
 from overtone.instrument.low_pass import behind_the_lock_in, time_constant
 from overtone.instrument.phantom import map_of, material_of
 from overtone.probe import Probe, format_probe
-from overtone.quantities import harmonic_orders, named_array, named_variable
+from overtone.quantities import LIFT, harmonic_orders, named_array, named_variable
 from overtone.readings import Reading, with_reading
 from overtone.units import format_quantity
 
@@ -36,7 +36,6 @@ _Progress = Callable[[int, int], None]
 
 _DIMS = ("y", "x")
 _LINES = ("trace", "retrace")
-LIFT = "lift_"
 
 NOT_CORRECTED = {
     0: "A0 is as the virtual microscope reads it, with the offset and the drift of its instrument; 1 pm of it moves a "

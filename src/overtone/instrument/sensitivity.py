@@ -263,7 +263,8 @@ def dynamic_from_thermal(
     ProbeError
         If the stiffness is unphysical.
     """
-    from overtone.instrument.thermal import BOLTZMANN, fit_thermal  # which takes sensitivities
+    from overtone.instrument.thermal import fit_thermal  # which takes sensitivities
+    from overtone.instrument.thermal_noise import BOLTZMANN
 
     if spectrum.attrs.get("units") != "V^2/Hz":
         raise UnitError(

@@ -35,12 +35,12 @@ from overtone.instrument.periodogram import (
     windowed_resonance,
 )
 from overtone.instrument.sensitivity import Sensitivity
+from overtone.instrument.thermal_noise import BOLTZMANN
 from overtone.io.spectrum import POWER_UNITS, spectrum_array
 from overtone.probe import DYNAMIC, STATIC
 
 _Array = npt.NDArray[np.float64]
 
-BOLTZMANN = 1.380649e-23
 _BEAM_RATIOS = (1.0, 6.267, 17.547, 34.386)  # of the modes of a uniform beam: where to look for higher ones
 _SIDE = 15.0  # widths of the peak on either side that the fit takes
 _LEAST_SIDE = 25  # bins on either side

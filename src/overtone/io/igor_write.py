@@ -19,9 +19,8 @@ from overtone.harmonics import far_phase
 from overtone.io.atomic import atomic_path
 from overtone.io.curves import DIRECTIONS as WAYS
 from overtone.io.selection import OBSERVABLES
-from overtone.io.vendors import LIFT
 from overtone.probe import Probe
-from overtone.quantities import validate_observables
+from overtone.quantities import LIFT, validate_observables
 from overtone.readings import reading_of
 
 _VERSION, _FLOAT32 = 5, 0x02

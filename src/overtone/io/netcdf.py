@@ -18,7 +18,7 @@ from overtone.errors import FileFormatError, ObservablesError
 from overtone.io.atomic import atomic_path
 from overtone.io.recording import Channel, Fact, Recording
 from overtone.io.si import to_si
-from overtone.io.vendors import LIFT
+from overtone.quantities import LIFT
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _CLASSIC = b"CDF"

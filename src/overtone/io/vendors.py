@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from overtone.io.recording import Channel, Recording
+from overtone.quantities import LIFT
 
-LIFT = "lift_"
 """Begins the names of overtone's own variables of a lift pass."""
 _NAP = "Nap"
 _SAME_FREQUENCY = 1e-6
