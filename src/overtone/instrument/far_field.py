@@ -216,11 +216,13 @@ def far_field(
         data, beside = points.signals.phasor[2], None
         # a spot that has moved distorts otherwise, by as much as is known of the compression
         if moved is not None:
-            moved = np.nan_to_num(moved)  # readings without A0 count as unmoved
+            for k in np.unique(points.group):  # a set without any A0 counts as unmoved
+                if not np.isfinite(moved[points.group == k]).any():
+                    moved = np.where(points.group == k, 0.0, moved)
             by_moving = -2.0 * moved * (first / reference) ** 2
             data = data - compression * by_moving
             beside = by_moving, math.hypot(doubt, _ELECTRONICS * compression)
-            far_off = float(np.ptp(moved))
+            far_off = float(np.nanmax(moved) - np.nanmin(moved))
             if abs(compression) * far_off > _FAR_OFF * width["distortion"]:
                 findings.append(
                     f"the spot moved by {far_off * 1e9:.3g} nm between the far-field data, which changes the "
