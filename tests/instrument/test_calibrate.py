@@ -19,6 +19,7 @@ from overtone.instrument.calibrate import calibrate, split_curve
 from overtone.instrument.calibration import Calibration
 from overtone.instrument.correct import correct
 from overtone.instrument.curve_parts import binned
+from overtone.instrument.far_field import PRIORS
 from overtone.instrument.instrument import Instrument, NearSurface, lever_at
 from overtone.instrument.photodiode import SplitDiode
 from overtone.instrument.signals import signals_of
@@ -213,10 +214,11 @@ def test_without_the_third_harmonic(
     assert re.search("no third harmonic far from the surface", said)
     assert "gain3" not in result.names
     assert "e3_re" not in result.curve
-    # how much of A1 the detector loses is then unknown, and a stiff reference takes it for a part of its force
+    # how much of A1 the detector loses far data do not say, but the whole curve on a known reference does
     few = {name: TRUTH[name] for name in ("gain0", "gain2", "latency2", "phi1_offset", "stiffness")}
     assert np.abs(scores(result, few)).max() < 3.0
-    assert result.error("compression") == pytest.approx(0.01, rel=0.2)
+    assert result.error("compression") < 0.4 * PRIORS["compression"]
+    assert abs(result.values["compression"] - 0.0184) < 3.0 * result.error("compression")
 
 
 @pytest.mark.parametrize(
@@ -265,7 +267,8 @@ def test_a_reference_that_loses_energy(
     assert result.reference is not None
     viscosity, error = result.reference.properties["viscosity"]
     assert abs(math.log(viscosity / 60.0)) < 3.0 * error + 0.02
-    assert error < 0.2
+    # DISS_1 hangs on the zero of the phase, which hangs on Q and resonance where the drive is beside it
+    assert error < 0.25
     assert np.abs(scores(result, TRUTH)).max() < 3.5
 
 

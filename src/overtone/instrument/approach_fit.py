@@ -24,7 +24,7 @@ from overtone.harmonics import far_phase, read_receptance
 from overtone.instrument.latent import Problem, search
 from overtone.instrument.material import STARTS, Reference, scale_of
 from overtone.instrument.signals import Signals, in_the_frame_of_the_first
-from overtone.instrument.unknowns import HIGHER, LEVER, probe_with, undo
+from overtone.instrument.unknowns import HIGHER, LEVER, TERMS, distortion_basis, probe_with, undo
 from overtone.probe import Probe
 
 __all__ = ["Curve", "Fit", "Reference", "fit_approach"]
@@ -135,7 +135,9 @@ class _Problem:
         self.at_material = len(names)
         self.at_zero = self.at_material + len(self.properties)
         self.at_depth = self.at_zero + 1
-        self.model_names = [i for i, name in enumerate(names) if name in LEVER]
+        # these move the amplitude, or the motion that belongs to it
+        moving = (*LEVER, "compression")
+        self.model_names = [i for i, name in enumerate(names) if name in moving]
 
     def unpack(self, p: _Floats) -> tuple[dict[str, float], _Floats, float, _Floats]:
         theta = self.mean + self.root @ p[: self.at_material]
@@ -331,8 +333,45 @@ def _starts(problem: _Problem) -> list[_Floats]:
         p[problem.at_depth :] = np.arcsinh(depth / _DEPTH)
         model = problem.predict(values, material, depth, amplitude)
         p[problem.at_zero] = float(np.median(problem.curve.height - model.height)) / _NANO
+        p[: problem.at_material] = _linear(problem, model)
         starts.append(p)
     return starts
+
+
+def _linear(problem: _Problem, model: Any) -> _Floats:
+    """Return where to start: what is added to the harmonics, and their gains with their phases, for a given motion.
+
+    In these the readings are linear, a gain with its latency being one complex number; along a wrong latency a search
+    would lead nowhere.
+    """
+    theta = problem.mean.copy()
+    read, noise = problem.curve.signals, problem.curve.noise
+    first = read.phasor[1]
+    for n in problem.orders:
+        own = [*(f"distortion{n}_{j}" for j in range(TERMS)), f"crosstalk{n}"]
+        names = [f"{name}_{part}" for name in own for part in ("re", "im")]
+        g, psi = f"gain{n}", f"latency{n}"
+        if not {*names, g, psi} <= set(problem.names):
+            continue  # some are known, and not searched for
+        at = [problem.names.index(name) for name in names]
+        root = np.linalg.cholesky(problem.root[at] @ problem.root[at].T)
+        added = np.column_stack([distortion_basis(first, n, problem.amplitude), np.ones(first.size)])
+        B = np.stack([added, 1j * added], axis=-1).reshape(first.size, -1)
+        motion = model.reading[:, n] * (first / np.abs(first)) ** n
+        columns = np.column_stack([B @ root, motion, 1j * motion])
+        sigma = np.broadcast_to(noise[f"A{n}"], first.shape)
+        data = (read.phasor[n] - B @ problem.mean[at]) / sigma
+        weighted = columns / sigma[:, None]
+        design = np.concatenate([weighted.real, weighted.imag, np.eye(columns.shape[1])])
+        target = np.concatenate([data.real, data.imag, np.zeros(len(at)), [1.0, 0.0]])
+        found = np.linalg.lstsq(design, target, rcond=None)[0]
+        theta[at] = problem.mean[at] + root @ found[: len(at)]
+        gain = complex(*found[len(at) :])
+        mean = problem.mean[problem.names.index(g)]
+        growth = np.clip(np.log(max(abs(gain), 1e-3) / mean), -1.0, 1.0)
+        theta[problem.names.index(g)] = mean * (1.0 + growth)
+        theta[problem.names.index(psi)] = float(-np.angle(gain))
+    return np.linalg.solve(problem.root, theta - problem.mean)
 
 
 def _indentations(

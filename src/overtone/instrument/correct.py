@@ -170,7 +170,8 @@ def _correct_curve(curve: xr.Dataset, calibration: Calibration) -> xr.Dataset:
     free = free_lever(parts)
     findings = _not_calibrated(curve, calibration)
     state = drifting(calibration, DRIFT)
-    lag = float(wrapped(-np.angle(free.onset) - far_phase(calibration.probe)))
+    lever = probe_with(calibration.probe, calibration.values)
+    lag = float(wrapped(-np.angle(free.onset) - far_phase(lever)))
     count = parts.height[parts.far].size
     strength = abs(free.onset) / calibration.amplitude
     for name, value, scatter in (

@@ -18,6 +18,7 @@ _Floats = npt.NDArray[np.float64]
 _FEWEST = 20  # points of a curve
 _FEWEST_FAR = 5
 _TOUCHED = 0.02  # of the far amplitude: a loss of so much is contact
+_TURNED = 0.1  # of the far amplitude, by which the phasor is off: contact too
 _FARTHEST = 0.1  # of the points: certainly far, or there is no far part
 _RUN = 4  # points in a row
 _CLEAR = 5e-9  # of the onset [m], and
@@ -97,7 +98,9 @@ def split_curve(approach: xr.Dataset) -> CurveParts:
     level = float(np.median(A[:first]))
     scatter = 1.4826 * float(np.median(np.abs(np.diff(A[:first])))) / math.sqrt(2.0)
     limit = level - max(_TOUCHED * level, 6.0 * scatter)
-    below = limit > A
+    # below resonance a stiffer contact raises the amplitude: then the phase tells
+    start = complex(np.mean(signals.phasor[1][:first]))
+    below = (limit > A) | (np.abs(signals.phasor[1] - start) > _TURNED * level)
     runs = np.convolve(below, np.ones(_RUN, int))[_RUN - 1 :] == _RUN
     if not runs.any():
         raise CalibrationError(
@@ -189,12 +192,21 @@ def binned(parts: CurveParts, amplitude: float, bins: int) -> tuple[Signals, _Fl
     part = parts.contact
     A = np.abs(parts.signals.phasor[1][part])
     index = np.flatnonzero((_LOWEST * amplitude < A) & (_HIGHEST * amplitude > A))
-    # a jump from one branch to another: what comes right after it is still on the way
-    steps = np.abs(np.diff(A))
+    # A jump from one branch to another: what comes right after it is still on the way, and nothing is averaged across
+    # it. Branches differ in phase far more than in amplitude.
+    steps = np.abs(np.diff(parts.signals.phasor[1][part]))
     usual = float(np.median(steps)) if steps.size else 0.0
-    for jump in np.flatnonzero(steps > 10.0 * usual + 0.02 * amplitude):
-        index = index[(index <= jump - 1) | (index > jump + _AFTER_JUMP)]
-    groups = [group for group in np.array_split(index, min(bins, max(index.size, 1))) if group.size]
+    jumps = np.flatnonzero(steps > 10.0 * usual + 0.02 * amplitude)
+    for jump in jumps:
+        index = index[(index <= jump) | (index > jump + _AFTER_JUMP)]
+    pieces = np.split(index, np.searchsorted(index, jumps, side="right"))
+    share = min(bins / max(index.size, 1), 1.0)
+    groups = [
+        group
+        for piece in pieces
+        if piece.size
+        for group in np.array_split(piece, max(round(share * piece.size), 1))
+    ]
     signals = taken(parts.signals, part)
 
     def mean(values: npt.NDArray[Any]) -> npt.NDArray[Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +17,7 @@ from overtone.instrument.calibration import Calibration, ReferenceMaterial, join
 from overtone.instrument.curve_parts import CurveParts, binned, taken
 from overtone.instrument.far_field import FarField
 from overtone.instrument.signals import Signals, in_the_frame_of_the_first
-from overtone.instrument.unknowns import HIGHER, distortion_of, probe_with, undo, wrapped
+from overtone.instrument.unknowns import HIGHER, NEUTRAL, distortion_of, probe_with, undo, wrapped
 from overtone.probe import Probe, required_radius
 
 _Floats = npt.NDArray[np.float64]
@@ -27,6 +27,7 @@ BINS = 24
 _FEWEST_CONTACT = 6
 _BAD_FIT = 1.5  # of chi-squared over its freedom
 _LEAST_GAIN = 0.2
+_NUDGE = 1e-6
 _HOPELESS = 30.0
 # of what the detector adds at the free amplitude: so closely is its bend followed down the curve
 _FOLLOWED = 2e-3
@@ -66,11 +67,12 @@ def calibrated_on(
         raise CalibrationError(f"model {reference.model!r} has no force")
     amplitude = probe.drive.free_amplitude
     signals, height, counts = _repulsive_part(parts, setting)
-    values = {**setting.values, **_latency(signals, setting, height - centre)}
+    values = dict(setting.values)
     fitted = {
         name: error for name, error in setting.prior.items() if name not in ("A0_slope_x", "A0_slope_y")
     }
     names, covariance = joint(tuple(far.values), fitted, far.covariance)
+    covariance = with_far_phase(names, covariance, probe)
     share = np.sqrt(counts)
     noise: dict[str, float | _Floats] = {name: value / share for name, value in setting.sigma.items()}
     # what shakes the phase is a vector of a size, and turns a small amplitude farther
@@ -114,6 +116,21 @@ def calibrated_on(
     return Calibration(
         probe, amplitude, values, names, covariance, dict(setting.sigma), material, table, tuple(findings)
     )
+
+
+def with_far_phase(names: Sequence[str], covariance: _Floats, probe: Probe) -> _Floats:
+    """Return a covariance in which the zero of the phase follows the lever: what is known is the phase read far away.
+
+    The lag of a free lever depends on its resonance, and off resonance on Q; the zero is what is read less that lag.
+    """
+    turn = np.eye(len(names))
+    for name in ("quality_factor", "resonance"):
+        if name in names:
+            moved = probe_with(probe, {**NEUTRAL, name: 1.0 + _NUDGE})
+            turn[names.index("phi1_offset"), names.index(name)] = (
+                far_phase(probe) - far_phase(moved)
+            ) / _NUDGE
+    return np.asarray(turn @ covariance @ turn.T)
 
 
 def corrected_curve(
@@ -174,19 +191,6 @@ def _repulsive_part(parts: CurveParts, setting: Setting) -> tuple[Signals, _Floa
             hint="a deeper curve, a larger amplitude, or another sign of the phase (phase_sign=-1)",
         )
     return taken(signals, pushes), height[pushes], counts[pushes]
-
-
-def _latency(signals: Signals, setting: Setting, height: _Floats) -> dict[str, float]:
-    """Return the latency of each harmonic from the phase of an elastic contact: the sign of CONS_n is (-1)^n."""
-    probe = setting.probe
-    clean = undo(signals, setting.values, probe.drive.free_amplitude, height=height)
-    frame = in_the_frame_of_the_first(clean)
-    found = {}
-    for n in HIGHER:
-        if n in frame:
-            G = complex(read_receptance(probe, n * probe.drive.frequency)) * (-1) ** n
-            found[f"latency{n}"] = float(wrapped(np.angle(G) - np.angle(np.sum(frame[n] * np.abs(frame[n])))))
-    return found
 
 
 def _check_gains(values: Mapping[str, float], fit: Fit) -> None:
