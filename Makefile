@@ -26,8 +26,10 @@ demo:  ## the README's main command
 picture:  ## the picture of the README, made by the program
 	python docs/picture.py
 
-validation:  ## figures and tables of docs/validation.md
+validation:  ## figures and tables of docs/validation.md and docs/instruments.md
 	python docs/validation.py
+	python docs/instruments.py
+	python docs/instruments.py
 
 clean:  ## what tests and builds leave behind
 	rm -rf .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks build dist overtone-demo
