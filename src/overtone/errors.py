@@ -98,7 +98,3 @@ class CurveWarning(OvertoneWarning):
 
 class CalibrationWarning(OvertoneWarning):
     """A calibration that leaves something open, or data that do not quite fit it."""
-
-
-class SaturationWarning(OvertoneWarning):
-    """A signal that sticks to the ends of its range."""

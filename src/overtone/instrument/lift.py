@@ -21,6 +21,7 @@ from overtone.instrument.unknowns import (
     crosstalk_of,
     distortion_basis,
     distortion_of,
+    far_phase_slope,
     probe_with,
     undo,
     wrapped,
@@ -97,13 +98,14 @@ def with_lift(
             got=format_quantity(level, "m"),
             hint="a higher lift (150 to 300 nm above the surface, drive on)",
         )
-    lever = probe_with(calibration.probe, {**calibration.values, "resonance": state.values["resonance"]})
+    here = {**calibration.values, "resonance": state.values["resonance"]}
+    lever = probe_with(calibration.probe, here)
     lag = wrapped(-np.angle(free.phasor[1]) - far_phase(lever) - state.values["phi1_offset"])
     phase, phase_error = smooth_lines(lag, known)
     error = math.hypot(_FREE_ERROR, float(np.sqrt(np.mean(phase_error**2))))
     level_phase = float(phase.mean())
     # the lag of the free lever tells the zero of the phase and the resonance together; the reference tells them apart
-    row = state.row(phi1_offset=1.0, resonance=_turn_with_resonance(state, calibration))
+    row = state.row(phi1_offset=1.0, resonance=far_phase_slope(calibration.probe, here, "resonance"))
     state = state.measured(np.array([level_phase]), row[None, :], np.array([error**2]))
     # drive: amplitudes of the lines follow it; what it drifts by is shared out as an error of one factor
     strength, strength_error = smooth_lines(np.abs(free.phasor[1]) / amplitude, known)
@@ -124,18 +126,6 @@ def with_lift(
         read, state = _mean_of_lift(read, free, where, state, amplitude, height, findings)
     state = _background(free, where, state, amplitude)
     return _turned(read, phase - level_phase, state), state
-
-
-def _turn_with_resonance(state: State, calibration: Calibration) -> float:
-    """Return d phi_far / d resonance."""
-    step = 1e-7
-    there, here = (
-        far_phase(
-            probe_with(calibration.probe, {**calibration.values, "resonance": state.values["resonance"] + s})
-        )
-        for s in (step, 0.0)
-    )
-    return float(wrapped(there - here)) / step
 
 
 def _turned(read: Signals, phase: _Floats, state: State) -> Signals:

@@ -17,7 +17,15 @@ from overtone.instrument.calibration import Calibration, ReferenceMaterial, join
 from overtone.instrument.curve_parts import CurveParts, binned, taken
 from overtone.instrument.far_field import FarField
 from overtone.instrument.signals import Signals, in_the_frame_of_the_first
-from overtone.instrument.unknowns import HIGHER, NEUTRAL, distortion_of, probe_with, undo, wrapped
+from overtone.instrument.unknowns import (
+    HIGHER,
+    NEUTRAL,
+    distortion_of,
+    far_phase_slope,
+    probe_with,
+    undo,
+    wrapped,
+)
 from overtone.probe import Probe, required_radius
 
 _Floats = npt.NDArray[np.float64]
@@ -27,7 +35,6 @@ BINS = 24
 _FEWEST_CONTACT = 6
 _BAD_FIT = 1.5  # of chi-squared over its freedom
 _LEAST_GAIN = 0.2
-_NUDGE = 1e-6
 _HOPELESS = 30.0
 # of what the detector adds at the free amplitude: so closely is its bend followed down the curve
 _FOLLOWED = 2e-3
@@ -126,10 +133,7 @@ def with_far_phase(names: Sequence[str], covariance: _Floats, probe: Probe) -> _
     turn = np.eye(len(names))
     for name in ("quality_factor", "resonance"):
         if name in names:
-            moved = probe_with(probe, {**NEUTRAL, name: 1.0 + _NUDGE})
-            turn[names.index("phi1_offset"), names.index(name)] = (
-                far_phase(probe) - far_phase(moved)
-            ) / _NUDGE
+            turn[names.index("phi1_offset"), names.index(name)] = -far_phase_slope(probe, NEUTRAL, name)
     return np.asarray(turn @ covariance @ turn.T)
 
 

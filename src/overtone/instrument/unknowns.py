@@ -31,6 +31,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from overtone.harmonics import far_phase
 from overtone.instrument.signals import Signals
 from overtone.probe import Cantilever, Probe
 
@@ -39,6 +40,7 @@ _Complex = npt.NDArray[np.complex128]
 
 HIGHER = (2, 3)
 """Harmonics that a calibration covers beside the mean and the first."""
+_NUDGE = 1e-6  # of a factor, for differences
 TERMS = 3
 """Powers of |a1|^2 in the distortion of a harmonic."""
 
@@ -237,6 +239,12 @@ def probe_with(probe: Probe, values: Mapping[str, float]) -> Probe:
         drive=replace(probe.drive, free_amplitude=probe.drive.free_amplitude * values["free_amplitude"]),
         tip=replace(probe.tip, radius=radius * values["radius"] if radius is not None else None),
     )
+
+
+def far_phase_slope(probe: Probe, values: Mapping[str, float], name: str) -> float:
+    """Return by how much the lag of the free lever turns per unit of one of its factors, at given values [rad]."""
+    moved = probe_with(probe, {**values, name: values[name] + _NUDGE})
+    return float(wrapped(far_phase(moved) - far_phase(probe_with(probe, values)))) / _NUDGE
 
 
 def wrapped(angle: Any) -> Any:
