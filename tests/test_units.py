@@ -5,7 +5,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from overtone.errors import OvertoneError, UnitError
-from overtone.units import conversion_factor, display_unit, format_quantity, parse_quantity
+from overtone.units import (
+    conversion_factor,
+    display_unit,
+    format_quantity,
+    parse_amplitude_density,
+    parse_quantity,
+)
 
 
 @pytest.mark.parametrize(
@@ -67,3 +73,36 @@ def test_conversion_inverts() -> None:
 def test_what_is_not_a_number_is_not_printed_as_one() -> None:
     assert format_quantity(math.nan, "Pa") == "-"
     assert format_quantity(0.0, "m") == "0 m"
+
+
+@pytest.mark.parametrize(
+    ("text", "unit", "value"),
+    [
+        ("50 fm/rtHz", "m", 50e-15),
+        ("50fm/ rtHz ", "m", 50e-15),
+        ("0.05 pm/sqrt(Hz)", "m", 50e-15),
+        ("0.05 pm / sqrtHz", "m", 50e-15),
+        ("1e-13 m/√Hz", "m", 1e-13),
+        ("700 nV/√(Hz)", "V", 700e-9),
+    ],
+)
+def test_amplitude_densities_become_si(text: str, unit: str, value: float) -> None:
+    assert parse_amplitude_density(text, unit) == pytest.approx(value, rel=1e-14, abs=0)
+
+
+@pytest.mark.parametrize(
+    ("text", "word"),
+    [
+        ("50 fm", "no amplitude density"),
+        ("50 fm/Hz", "no amplitude density"),
+        ("50 fm^2/Hz", "no amplitude density"),
+        ("50 fm/sqrt(Hz", "no amplitude density"),
+        ("50 rtHz", "no amplitude density"),
+        ("50 nV/rtHz", "does not fit"),
+        ("50 /rtHz", "no unit"),
+        ("fm/rtHz", "not a number"),
+    ],
+)
+def test_what_is_no_amplitude_density_is_named(text: str, word: str) -> None:
+    with pytest.raises(UnitError, match=f"detector.*{word}"):
+        parse_amplitude_density(text, "m", "detector")

@@ -58,13 +58,40 @@ _QUANTITIES = (
     Quantity("modulus", "E_s", "Pa", "elastic modulus of the sample", "property"),
     Quantity("adhesion", "F_ad", "N", "force of adhesion", "property"),
     Quantity("indentation", "delta_max", "m", "maximum indentation in a cycle", "property"),
+    Quantity("viscosity", "eta", "Pa s", "viscosity of the contact", "property"),
+    Quantity("loss_tangent", "tan delta", "1", "loss tangent of the contact, w eta/(2 E*)", "property"),
+    Quantity("stiffness", "k_s", "N/m", "stiffness of the sample", "property"),
+    Quantity("damping", "c_s", "N s/m", "damping of the sample", "property"),
+    Quantity("prefactor", "C", "N/m^p", "force at unit indentation", "property"),
     Quantity("residual", "N_r", "1", "relative residual norm of the force harmonics", "quality"),
+    Quantity("misfit", "chi2", "1", "smallest chi-squared of the model, against the stated noise", "quality"),
+    Quantity("solutions", "", "1", "number of physical solutions of the force harmonics", "quality"),
+    Quantity(
+        "log_evidence",
+        "ln Z",
+        "1",
+        "logarithm of the probability of the data under model and priors",
+        "quality",
+    ),
+    Quantity("contact_probability", "", "1", "probability that the tip touches the sample", "quality"),
+    Quantity(
+        "model_probability", "", "1", "probability of the model chosen, among those compared", "quality"
+    ),
+    Quantity("model", "", "1", "contact model chosen, among those compared", "quality"),
     Quantity("amplification", "", "1", "error of ln E per relative error of a force harmonic", "quality"),
     Quantity(
         "uncertainty",
         "sigma_lnE",
         "1",
-        "amplification times the stated noise: linearised error of ln E",
+        "standard deviation of ln E, noise and errors that the whole scan shares together",
+        "quality",
+    ),
+    Quantity("uncertainty_statistical", "", "1", "the part of it that comes from noise", "quality"),
+    Quantity(
+        "uncertainty_systematic",
+        "",
+        "1",
+        "the part of it that the whole scan shares, from the calibration",
         "quality",
     ),
     Quantity("start_spread", "", "1", "range of ln E over the starting points", "quality"),
@@ -77,6 +104,7 @@ LIFT = "lift_"
 _HARMONIC = re.compile(r"(A|phi)([1-9]\d*)")
 _VARIANTS = {
     "_unscreened": "every pixel the estimator finished",
+    "_solutions": "every physical solution, deepest indentation last",
     "_lower": "lower end of the 90 % interval (noise; shared errors where the scan was calibrated)",
     "_upper": "upper end of the 90 % interval (noise; shared errors where the scan was calibrated)",
 }

@@ -57,6 +57,7 @@ _DISPLAY_PREFIX = {-15: "f", -12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k"
 _PREFIXED_SI = ("m", "N", "Pa", "J", "Hz", "V", "s")
 _QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*")
 _SYMBOL = re.compile(r"([A-Za-zµμÅ°%]+|1)(?:\^?(-?\d+))?")
+_PER_ROOT_HERTZ = re.compile(r"\s*/\s*(?:rt|sqrt|√)\s*(?:Hz|\(\s*Hz\s*\))\s*$")
 
 
 def _symbol(text: str) -> tuple[float, _Dimension] | None:
@@ -173,6 +174,38 @@ def parse_quantity(text: str | float, unit: str, name: str = "quantity") -> floa
         return float(number)
     # Decimal, so that "94 nm" is the float 94e-9 and not its neighbour 94 * 1e-9.
     return float(Decimal(number) * Decimal(repr(conversion_factor(unit_text, unit, name))))
+
+
+def parse_amplitude_density(text: str | float, unit: str, name: str = "quantity") -> float:
+    """Return the SI value of an amplitude density, for example ``"50 fm/rtHz"`` for one of lengths.
+
+    Parameters
+    ----------
+    text : str or float
+        Number and unit, with ``/rtHz``, ``/sqrt(Hz)`` or ``/√Hz`` at its end.
+    unit : str
+        SI unit of what is dense, ``"m"`` for a result in m/sqrt(Hz).
+    name : str
+        What the value is, for the error message.
+
+    Raises
+    ------
+    UnitError
+        If the text is no such density, or one of another dimension.
+
+    Examples
+    --------
+    >>> parse_amplitude_density("50 fm/rtHz", "m"), parse_amplitude_density("0.1 pm/sqrt(Hz)", "m")
+    (5e-14, 1e-13)
+    """
+    above, found = _PER_ROOT_HERTZ.subn("", str(text))
+    if not found:
+        raise UnitError(
+            f"{name} is no amplitude density",
+            expected=f'text such as "50 {"f" if unit == "m" else ""}{unit}/rtHz"',
+            got=repr(text),
+        )
+    return parse_quantity(above, unit, name)
 
 
 @dataclass(frozen=True)

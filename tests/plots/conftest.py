@@ -1,4 +1,7 @@
+import runpy
 from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -37,6 +40,12 @@ def _drawn(array: xr.DataArray, **options) -> Axes:
 
 def _titles(figure: Figure) -> list[str]:
     return [axes.get_title(loc="left") for axes in figure.axes if axes.get_title(loc="left")]
+
+
+@pytest.fixture(scope="session")
+def synthetic() -> SimpleNamespace:
+    """Return what makes results with intervals and solutions."""
+    return SimpleNamespace(**runpy.run_path(str(Path(__file__).with_name("synthetic.py"))))
 
 
 @pytest.fixture(scope="session")

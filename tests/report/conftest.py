@@ -1,3 +1,7 @@
+import runpy
+from pathlib import Path
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -8,6 +12,12 @@ from overtone.report.content import Report, Table
 
 STATUS = {"flag_values": [0, 1], "flag_meanings": "determined not_determined_by_these_data"}
 PROBE = '[cantilever]\nstiffness = "16.4 N/m"\n'
+
+
+@pytest.fixture(scope="session")
+def synthetic() -> SimpleNamespace:
+    """Return what makes results with intervals and solutions."""
+    return SimpleNamespace(**runpy.run_path(str(Path(__file__).parents[1] / "plots" / "synthetic.py")))
 
 
 @pytest.fixture(scope="session")

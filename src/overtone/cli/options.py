@@ -242,14 +242,19 @@ def with_radius(observables: Any, text: str | None) -> Any:
     return with_reading(observables, replace(reading, probe=replace(reading.probe, tip=tip)))
 
 
+_NOISE = 'A0="5 pm", scatter, pair, or "bandwidth=500 Hz, detector=50 fm/rtHz"'
+
+
 def parse_noise(texts: Sequence[str]) -> dict[str, float]:
-    """Return --noise A0="5 pm" options in SI units."""
+    """Return --noise A0="5 pm" options in SI units; sources of noise are read by `overtone.cli.noise`."""
     from overtone.quantities import quantity
 
     noise = {}
     for name, text in parse_pairs(texts, "--noise").items():
         record = quantity(name)
         if record is None or record.kind != "observable":
-            raise OvertoneError(f"--noise {name} is not an observable", expected="A0, A1, phi1, A2, ...")
+            raise OvertoneError(
+                f"--noise {name} is not an observable", expected="A0, A1, phi1, A2, ...", hint=_NOISE
+            )
         noise[name] = parse_quantity(text, record.unit, f"--noise {name}")
     return noise

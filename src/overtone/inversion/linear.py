@@ -28,8 +28,8 @@ class Contact(NamedTuple):
     """(1 - nu_t^2)/E_t [1/Pa]."""
     sample_factor: float
     """1 - nu_s^2."""
-    root_radius: float
-    """sqrt(R) [m^0.5]."""
+    factor: float
+    """Coefficient of the elastic term over E*: 4/3 sqrt(R) for a paraboloid [m^0.5]."""
 
 
 @kernel
@@ -48,13 +48,13 @@ def stiffness(contact: Contact, modulus: float) -> tuple[float, float]:
     """Return Lambda [N/m^1.5] of a sample modulus and d ln Lambda / d ln E_s."""
     sample_compliance = contact.sample_factor / modulus
     E_star = 1.0 / (contact.tip_compliance + sample_compliance)
-    return 4.0 / 3.0 * E_star * contact.root_radius, sample_compliance * E_star
+    return contact.factor * E_star, sample_compliance * E_star
 
 
 @kernel
 def sample_modulus(contact: Contact, Lambda: float) -> float:
     """Return the sample modulus of a Lambda, the inverse of `stiffness`; infinite beyond the tip's own."""
-    sample_compliance = 4.0 / 3.0 * contact.root_radius / Lambda - contact.tip_compliance
+    sample_compliance = contact.factor / Lambda - contact.tip_compliance
     return contact.sample_factor / sample_compliance if sample_compliance > 0.0 else math.inf
 
 

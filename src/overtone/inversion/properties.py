@@ -164,7 +164,7 @@ def map_properties(
         intermolecular_distance,
         (1.0 - probe.tip.poisson_ratio**2) / probe.tip.modulus,
         1.0 - poisson_ratio**2,
-        math.sqrt(radius),
+        4.0 / 3.0 * math.sqrt(radius),
     )
     calibration = calibration_of(observables)
     shared = _Shared.of(observables, calibration, orders) if calibration is not None else None

@@ -15,9 +15,16 @@ from overtone.plots.ticks import linear_ticks, log_ticks, room_for_ticks
 
 
 def draw_curve(
-    axes: Axes, line: xr.DataArray, values: Array, veil: Mask | None, label: str, *, logarithmic: bool
+    axes: Axes,
+    line: xr.DataArray,
+    values: Array,
+    veil: Mask | None,
+    label: str,
+    *,
+    logarithmic: bool,
+    ends: tuple[Array, Array] | None = None,
 ) -> None:
-    """Draw values along their dimension, open circles where they are not determined."""
+    """Draw values along their dimension, open circles where they are not determined, with intervals as bars."""
     position, position_label = abscissa(line)
     values = np.atleast_1d(values)
     sure = np.ones(values.shape, bool) if veil is None else ~np.atleast_1d(veil)
@@ -28,6 +35,11 @@ def draw_curve(
         )
         points[0].set_gid("undetermined")
     axes.plot(position[sure], values[sure], "o", markersize=3, color="#0072b2", zorder=3)
+    if ends is not None:
+        lower, upper = map(np.atleast_1d, ends)
+        axes.vlines(
+            position, lower, upper, color=np.where(sure, "#56b4e9", "0.8"), linewidth=1.2, zorder=0
+        ).set_gid("interval")
     if logarithmic:
         axes.set_yscale("log", nonpositive="mask")
     low, high = axes.get_ylim()

@@ -7,12 +7,15 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from overtone.plots.categories import draw_flags
+from overtone.plots.intervals import interval_figure
 from overtone.plots.maps import draw_map
 from overtone.plots.planes import ratio_of
-from overtone.plots.results import estimate_of, measured, undetermined
+from overtone.plots.results import measured
 from overtone.plots.scales import Limits, is_readable, positive_limits
 from overtone.plots.sheet import Sheet
+from overtone.plots.solutions import solutions_figure
 from overtone.plots.text import draw_empty
+from overtone.report.results import EXACT, POSTERIOR, estimate_of, method_of, undetermined
 
 _COLUMNS = 3
 _COLUMN_WIDTH = 3.4
@@ -72,7 +75,7 @@ def energy_figure(energies: xr.Dataset) -> Figure:
 
 
 def properties_figure(label: str, properties: xr.Dataset) -> Figure:
-    """Return the maps of one inversion: estimates under their veil, range, quality and status.
+    """Return the maps of one inversion, by its method.
 
     Parameters
     ----------
@@ -80,7 +83,19 @@ def properties_figure(label: str, properties: xr.Dataset) -> Figure:
         What the result was inverted from, such as "harmonics 1, 2, 3".
     properties : Dataset
         Result of `overtone.map_properties`.
+
+    Returns
+    -------
+    Figure
+        Of ``least-squares``: estimates under their veil, range, quality and status. Of ``exact``: estimates, number
+        of solutions and status. Of ``posterior``: median and interval of every property; what each pixel can be
+        trusted for is in `certainty_figure`.
     """
+    method = method_of(properties)
+    if method == POSTERIOR:
+        return interval_figure(label, properties)
+    if method == EXACT:
+        return solutions_figure(label, properties)
     veil = undetermined(properties)
     limits = _shared_limits(properties, veil)
     estimates = {"modulus": "modulus", "adhesion": "adhesion", "indentation": "maximum indentation"}

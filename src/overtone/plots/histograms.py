@@ -14,20 +14,23 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from overtone.plots.categories import PALETTE
-from overtone.plots.results import estimate_of, undetermined
 from overtone.plots.scales import Array, Limits, Mask
 from overtone.plots.sheet import Sheet
 from overtone.plots.text import LABEL_SIZE, TICK_SIZE, draw_empty, label_of, set_title
 from overtone.plots.ticks import Ticks, log_ticks, power_labels
 from overtone.quantities import quantity
+from overtone.report.results import (
+    LEAST_SQUARES,
+    PROPERTIES,
+    estimate_of,
+    interval_of,
+    method_of,
+    properties_in,
+    undetermined,
+)
 from overtone.units import display_unit
 
-_PANELS = {
-    "modulus": "modulus",
-    "adhesion": "adhesion",
-    "indentation": "maximum indentation",
-    "residual": "residual",
-}
+_QUALITIES = {"residual": "residual", "misfit": "misfit"}
 _COLUMNS = 2
 _COLUMN_WIDTH = 5.0
 _RATIO = 0.5
@@ -52,7 +55,8 @@ def histogram_figure(
     dims = properties["status"].dims
     determined = ~undetermined(properties).values.ravel()
     groups = _groups(truth, materials, dims, determined.size)
-    found = {name: estimate_of(properties, name) for name in _PANELS}
+    panels = {name: PROPERTIES[name] for name in properties_in(properties)} | _QUALITIES
+    found = {name: estimate_of(properties, name) for name in panels}
     shown = {name: estimate for name, estimate in found.items() if estimate is not None}
     count = _COLUMNS * math.ceil(max(len(shown), 1) / _COLUMNS)
     sheet = Sheet.new(count, _COLUMNS, _COLUMN_WIDTH, _RATIO)
@@ -60,19 +64,23 @@ def histogram_figure(
         spare.set_axis_off()
     for axes, (name, estimate) in zip(sheet.cells, shown.items(), strict=False):
         true = truth[name].transpose(*dims).values.ravel() if truth is not None and name in truth else None
-        _draw_histogram(axes, estimate, determined, groups, true, _PANELS[name])
+        typical = _typical(properties, name, determined, groups)
+        _draw_histogram(axes, estimate, determined, groups, true, panels[name], typical)
     handles: list[Patch | Line2D] = [Patch(facecolor=g.colour, label=g.label) for g in groups if g.label]
     handles += [
         Patch(facecolor="0.5", label="determined"),
         Patch(facecolor="none", edgecolor="0.3", label="not determined"),
     ]
-    columns = min(len(handles) + 1, 6)
+    if any(_typical(properties, name, determined, groups) for name in shown):
+        handles.append(
+            Line2D([], [], color="0.2", marker="|", markersize=7.0, label="typical 90 % interval of a pixel")
+        )
     if truth is not None:
         handles.append(Line2D([], [], color="0.2", linestyle="--", label="true median"))
     legend = sheet.figure.legend(
         handles=handles,
         loc="lower center",
-        ncols=columns,
+        ncols=len(handles) if len(handles) < 6 else 3,
         frameon=False,
         borderaxespad=0.0,
         fontsize=LABEL_SIZE,
@@ -106,6 +114,21 @@ def _groups(
     return groups
 
 
+def _typical(
+    properties: xr.Dataset, name: str, determined: Mask, groups: Sequence[_Group]
+) -> list[Limits | None]:
+    """Return the medians of both ends over the determined pixels of each group, nothing without intervals."""
+    interval = interval_of(properties, name)
+    if interval is None or method_of(properties) == LEAST_SQUARES:
+        return []  # a range of moduli alone is drawn with the maps
+    ends = [np.asarray(end.values, dtype=float).ravel() for end in interval]
+    found: list[Limits | None] = []
+    for group in groups:
+        low, high = (_positive_median(end[determined & group.mask]) for end in ends)
+        found.append((low, high) if low is not None and high is not None else None)
+    return found
+
+
 def _draw_histogram(
     axes: Axes,
     array: xr.DataArray,
@@ -113,6 +136,7 @@ def _draw_histogram(
     groups: Sequence[_Group],
     true: Array | None,
     title: str,
+    typical: Sequence[Limits | None],
 ) -> None:
     """Count pixels in logarithmic bins, the determined ones filled; counts are logarithmic too, to show few."""
     set_title(axes, title)
@@ -123,7 +147,8 @@ def _draw_histogram(
         return
     record = quantity(str(array.name))
     medians = [_positive_median(true[group.mask]) if true is not None else None for group in groups]
-    low, high = _reach([values[usable], np.array([m for m in medians if m is not None])])
+    ends = [end for pair in typical if pair is not None for end in pair]
+    low, high = _reach([values[usable], np.array([*(m for m in medians if m is not None), *ends])])
     unit = display_unit(float(np.median(values[usable])), record.unit if record else "1")
     edges = np.geomspace(low, high, 61)
     most = 1
@@ -144,7 +169,13 @@ def _draw_histogram(
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.set_xlim(low * unit.factor, high * unit.factor)
-    axes.set_ylim(0.6, 1.6 * most)
+    top = 1.6 * most
+    for group, pair in zip(groups, typical, strict=False):
+        if pair is not None:
+            between = [end * unit.factor for end in pair]
+            axes.plot(between, [top, top], color=group.colour, marker="|", markersize=7.0, linewidth=1.4)
+            top *= 1.7
+    axes.set_ylim(0.6, top)
     log_ticks(low * unit.factor, high * unit.factor, 8).put_on(axes.xaxis)
     _powers_of_ten(1.6 * most).put_on(axes.yaxis)
     axes.set_xlabel(label_of(array, unit.label), fontsize=LABEL_SIZE)

@@ -17,9 +17,10 @@ from overtone.plots.curves import draw_curve
 from overtone.plots.planes import frame_of, plane_of
 from overtone.plots.scales import Array, Limits, Mask, Scale, scale_of
 from overtone.plots.text import LABEL_SIZE, TICK_SIZE, draw_empty, label_of, set_title, title_of
-from overtone.plots.ticks import linear_ticks, log_ticks, room_for_ticks
+from overtone.plots.ticks import edge_ticks, linear_ticks, log_ticks, room_for_ticks
 
 _BAR_GAP, _BAR_WIDTH = 0.09, 0.12
+_FEW_STEPS = 16  # so many colours have their edges named
 _VEIL_PIXELS = 256
 _VEIL_STRIPES = 24
 _VEIL, _STRIPE = (212, 212, 212, 219), (148, 148, 148, 219)
@@ -32,6 +33,9 @@ def draw_map(
     title: str | None = None,
     undetermined: xr.DataArray | None = None,
     limits: Limits | None = None,
+    scale: Scale | None = None,
+    bar: bool = True,
+    interval: tuple[xr.DataArray, xr.DataArray] | None = None,
 ) -> None:
     """Draw one quantity: a map where it has rows and columns, a curve where it has one dimension.
 
@@ -48,6 +52,12 @@ def draw_map(
         True where the value is not determined by the data: covered by a hatched veil.
     limits : tuple of float, optional
         Colour limits in SI units; 2 to 98 % of the determined values where not given.
+    scale : Scale, optional
+        The whole scale, where maps share one.
+    bar : bool, optional
+        Whether the map has a colour bar of its own.
+    interval : pair of DataArray, optional
+        Both ends of an interval on the dimensions of the array, which a curve shows as bars and a map does not.
     """
     plane, note = plane_of(array)
     set_title(axes, (title_of(array) if title is None else title) + note)
@@ -58,14 +68,22 @@ def draw_map(
     if not np.isfinite(values).any():
         draw_empty(axes)
         return
-    scale = scale_of(str(array.name), str(array.attrs.get("units", "")), values, veil, limits)
+    if scale is None:
+        scale = scale_of(str(array.name), str(array.attrs.get("units", "")), values, veil, limits)
     label = label_of(array, scale.unit)
     if plane.ndim < 2:
-        draw_curve(axes, plane, values * scale.factor, veil, label, logarithmic=scale.logarithmic)
+        ends = None
+        if interval is not None:
+            lower, upper = (
+                np.asarray(plane_of(end)[0].values, dtype=float) * scale.factor for end in interval
+            )
+            ends = (lower, upper)
+        draw_curve(axes, plane, values * scale.factor, veil, label, logarithmic=scale.logarithmic, ends=ends)
         return
     drawn = scale.clip(values * scale.factor)
     room = draw_image(axes, plane, drawn, scale)
-    _draw_colorbar(axes, drawn, scale, label, room)
+    if bar:
+        _draw_colorbar(axes, drawn, scale, label, room)
     if veil is not None:
         _draw_veil(axes, veil)
 
@@ -81,8 +99,11 @@ def draw_image(axes: Axes, plane: xr.DataArray, values: Array, scale: Scale) -> 
         extent=frame.extent,
         cmap=scale.colours,
         norm=scale.norm,
-        # Averaging is for pixels that the page cannot show one by one, and never for categories.
-        interpolation="antialiased" if max(values.shape) > 200 and not scale.categorical else "nearest",
+        # Averaging is for pixels that the page cannot show one by one, and never for categories, nor for steps: the
+        # mean over a border between materials would get the colour of a third.
+        interpolation="antialiased"
+        if max(values.shape) > 200 and not scale.categorical and not scale.edges
+        else "nearest",
         interpolation_stage="data",
         aspect="equal" if frame.equal else "auto",
     )
@@ -111,11 +132,16 @@ class _Beside:
 
 def _draw_colorbar(axes: Axes, values: Array, scale: Scale, label: str, room: int) -> None:
     low, high = scale.limits
-    below, above = bool((values < low).any()), bool((values > high).any())
+    below, above = (bool(out) for out in scale.beyond)
+    if not scale.edges:
+        below, above = below or bool((values < low).any()), above or bool((values > high).any())
     extend: Literal["neither", "min", "max", "both"] = "neither"
     if below or above:
         extend = "both" if below and above else "min" if below else "max"
-    ticks = log_ticks(low, high, room) if scale.logarithmic else linear_ticks(low, high, min(room, 6))
+    if scale.edges and len(scale.edges) - 1 <= _FEW_STEPS:
+        ticks = edge_ticks(scale.edges[:: math.ceil(len(scale.edges) / (room + 1))])
+    else:
+        ticks = log_ticks(low, high, room) if scale.logarithmic else linear_ticks(low, high, min(room, 6))
     inset = axes.inset_axes((1.04, 0.0, 0.055, 1.0))
     inset.set_axes_locator(_Beside(axes))
     inset.tick_params(labelsize=TICK_SIZE)
@@ -123,7 +149,7 @@ def _draw_colorbar(axes: Axes, values: Array, scale: Scale, label: str, room: in
         axes.images[0], cax=inset, extend=extend, ticks=ticks.locator, format=ticks.formatter
     )
     bar.minorticks_off()
-    bar.set_label(label, fontsize=LABEL_SIZE)
+    bar.set_label(f"{label}, steps ≥ {scale.step}" if scale.step and room > 4 else label, fontsize=LABEL_SIZE)
 
 
 def _draw_veil(axes: Axes, veil: Mask) -> None:

@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
-import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from overtone.plots.categories import draw_flags
+from overtone.plots.intervals import draw_estimate, stepped_scale
 from overtone.plots.maps import draw_map
 from overtone.plots.planes import ratio_of
-from overtone.plots.results import estimate_of, measured, undetermined
+from overtone.plots.results import counted, measured, width_of
 from overtone.plots.scales import positive_limits, readable
 from overtone.plots.sheet import Sheet
 from overtone.report.content import Report
+from overtone.report.results import (
+    LEAST_SQUARES,
+    PROPERTIES,
+    estimate_of,
+    method_of,
+    properties_in,
+    undetermined,
+)
 from overtone.report.shares import flag_shares
 
 _COLUMNS = 4
@@ -54,19 +62,31 @@ def overview_figure(report: Report, label: str | None = None) -> Figure:
 def _draw_conclusions(
     last: Axes, cells: list[Axes], label: str, properties: xr.Dataset, truth: xr.Dataset | None
 ) -> None:
-    veil, estimate = undetermined(properties), estimate_of(properties, "modulus")
+    name = next(iter(properties_in(properties)), "modulus")
+    veil, estimate = undetermined(properties), estimate_of(properties, name)
     limits = None if estimate is None else positive_limits(readable(estimate.values, veil.values))
-    if truth is not None and "modulus" in truth:
+    within = None
+    if truth is not None and name in truth:
         # One scale for truth and estimate, so that colours compare.
-        limits = positive_limits(truth["modulus"].values) or limits
+        within = positive_limits(truth[name].values)
+        limits = within or limits
+        steps = None if method_of(properties) == LEAST_SQUARES else stepped_scale(properties, name, within)
         last.set_axis_on()
-        draw_map(last, truth["modulus"], title="modulus, truth", limits=limits)
+        draw_map(last, truth[name], title=f"{PROPERTIES[name]}, truth", limits=limits, scale=steps)
     if estimate is not None:
         cells[0].set_axis_on()
-        draw_map(cells[0], estimate, title=f"modulus, {label}", undetermined=veil, limits=limits)
-    if {"modulus_lower", "modulus_upper"} <= set(properties):
+        title = f"{PROPERTIES[name]}, {label}"
+        if method_of(properties) == LEAST_SQUARES:
+            draw_map(cells[0], estimate, title=title, undetermined=veil, limits=limits)
+        else:
+            draw_estimate(cells[0], properties, name, title, within)
+    width = width_of(properties, name)
+    if width is not None:
         cells[1].set_axis_on()
-        draw_map(cells[1], _range_width(properties), title="width of the 90 % range")
+        draw_map(cells[1], width, title="width of the 90 % range")
+    elif "solutions" in properties:
+        cells[1].set_axis_on()
+        draw_flags(cells[1], counted(properties["solutions"]), title="solutions")
     cells[2].set_axis_on()
     draw_flags(cells[2], properties["status"], title="status", legend_axes=cells[3])
 
@@ -83,8 +103,3 @@ def _draw_energies(cells: list[Axes], energies: xr.Dataset) -> None:
 
 def _determined_share(properties: xr.Dataset) -> float:
     return flag_shares(properties["status"]).get("determined", 0.0)
-
-
-def _range_width(properties: xr.Dataset) -> xr.DataArray:
-    ratio = properties["modulus_upper"] / properties["modulus_lower"]
-    return xr.DataArray(np.log10(ratio), name="range_width", attrs={"units": "decades"})

@@ -1,11 +1,14 @@
-"""What figures take from datasets: observables in order, estimates, and what is not determined."""
+"""What figures take from datasets: observables in order, the width of an interval, and counts as categories."""
 
 from __future__ import annotations
 
+import numpy as np
 import xarray as xr
 
 from overtone.quantities import harmonic_orders
-from overtone.report.shares import flags
+from overtone.report.results import interval_of
+
+_COUNTS = ("none", "one", "two", "three_or_more")
 
 
 def measured(observables: xr.Dataset) -> list[str]:
@@ -16,16 +19,30 @@ def measured(observables: xr.Dataset) -> list[str]:
     return [name for name in names if name in observables]
 
 
-def undetermined(properties: xr.Dataset) -> xr.DataArray:
-    """Return True where the status is not the flag "determined"."""
-    status = properties["status"]
-    sure = [flag for flag, meaning in flags(status).items() if meaning == "determined"]
-    return ~status.isin(sure)
+def width_of(properties: xr.Dataset, name: str) -> xr.DataArray | None:
+    """Return how many decades the 90 % interval of a property is wide, None where there is none."""
+    interval = interval_of(properties, name)
+    if interval is None:
+        return None
+    lower, upper = (end.where(end > 0.0) for end in interval)
+    return xr.DataArray(np.log10(upper / lower), name="range_width", attrs={"units": "decades"})
 
 
-def estimate_of(properties: xr.Dataset, name: str) -> xr.DataArray | None:
-    """Return what the estimator gave at every pixel, or None where the result lacks it."""
-    for candidate in (f"{name}_unscreened", name):
-        if candidate in properties:
-            return properties[candidate].transpose(*properties["status"].dims)
-    return None
+def counted(solutions: xr.DataArray) -> xr.DataArray:
+    """Return a number of solutions as categories; what is no number stays outside of them."""
+    values = np.asarray(solutions.values, dtype=float)
+    codes = np.where(np.isfinite(values), np.clip(values, -1, len(_COUNTS) - 1), -1).astype(np.int8)
+    found = solutions.copy(data=codes)
+    found.attrs = {"flag_values": list(range(len(_COUNTS))), "flag_meanings": " ".join(_COUNTS)}
+    return found
+
+
+def spread_of_solutions(properties: xr.Dataset, name: str) -> xr.DataArray | None:
+    """Return how many decades lie between the solutions of a pixel, NaN where there are not several."""
+    if f"{name}_solutions" not in properties:
+        return None
+    every = properties[f"{name}_solutions"]
+    every = every.where(every > 0.0)
+    several = every.notnull().sum("solution") > 1
+    factor = (every.max("solution") / every.min("solution")).where(several)
+    return xr.DataArray(np.log10(factor), name="solution_spread", attrs={"units": "decades"})

@@ -14,7 +14,7 @@ from overtone.quantities import quantity
 from overtone.units import display_unit
 
 MISSING_COLOUR = "0.87"
-_LOGARITHMIC = ("modulus", "amplification", "residual", "uncertainty")
+_LOGARITHMIC = ("modulus", "amplification", "residual", "uncertainty", "misfit", "tabor", "mean_pressure")
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -29,6 +29,13 @@ class Scale:
     unit: str
     colours: Colormap
     norm: Normalize
+    si_unit: str = "1"
+    edges: tuple[float, ...] = ()
+    """Where colours change, where they change in steps."""
+    step: str = ""
+    """How wide such a step is at least, in words."""
+    beyond: tuple[bool, bool] = (False, False)
+    """Whether maps on the same scale hold values below and above it."""
 
     @property
     def logarithmic(self) -> bool:
@@ -51,7 +58,15 @@ class Scale:
         return np.where(values <= 0.0, self.limits[0] / 10.0, values) if self.logarithmic else values
 
 
-def scale_of(name: str, unit: str, values: Array, veil: Mask | None, limits: Limits | None) -> Scale:
+def scale_of(
+    name: str,
+    unit: str,
+    values: Array,
+    veil: Mask | None,
+    limits: Limits | None,
+    *,
+    logarithmic: bool | None = None,
+) -> Scale:
     """Return the scale of a quantity.
 
     Parameters
@@ -64,13 +79,18 @@ def scale_of(name: str, unit: str, values: Array, veil: Mask | None, limits: Lim
         True where a value is not determined: these do not set the colours.
     limits : tuple of float, optional
         Limits in SI units to use instead of those that fit the values.
+    logarithmic : bool, optional
+        Whether equal ratios get equal steps of colour; as suits the quantity where not given.
     """
     record = quantity(name)
     kind = record.kind if record else "quality"
     unit = record.unit if record else unit
     chosen = readable(values, veil)
     low, high = limits or robust_limits(chosen, positive=False)
-    logarithmic = name.startswith(_LOGARITHMIC) or (kind == "property" and low > 0.0 and high > 100.0 * low)
+    if logarithmic is None:
+        logarithmic = name.startswith(_LOGARITHMIC) or (
+            kind == "property" and low > 0.0 and high > 100.0 * low
+        )
     logarithmic = logarithmic and high > 0.0
     if logarithmic and low <= 0.0:
         low, high = robust_limits(chosen if (chosen > 0.0).any() else values, positive=True)
@@ -95,7 +115,9 @@ def scale_of(name: str, unit: str, values: Array, veil: Mask | None, limits: Lim
         # Centred on zero only where the sign changes: otherwise half of the colours would go unused.
         reach = max(-low, high)
         colours, norm = "RdBu_r", Normalize(-reach, reach)
-    return Scale(display.factor, display.label, colormaps[colours].with_extremes(bad=MISSING_COLOUR), norm)
+    return Scale(
+        display.factor, display.label, colormaps[colours].with_extremes(bad=MISSING_COLOUR), norm, unit
+    )
 
 
 def category_scale(colours: list[str]) -> Scale:

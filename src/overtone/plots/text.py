@@ -20,7 +20,18 @@ _TITLES = {
     "residual": "residual $N_r$",
     "dissipation": "dissipated energy",
 }
-_GREEK = ("phi", "delta", "sigma")
+# what the rules of symbols below do not set, or what has no symbol of its own
+_LABELS = {
+    "misfit": r"$\chi^2$",
+    "loss_tangent": r"$\tan\,\delta$",
+    "uncertainty": r"$\sigma$ of $\ln E_s$",
+    "uncertainty_statistical": r"$\sigma$ of $\ln E_s$",
+    "uncertainty_systematic": r"$\sigma$ of $\ln E_s$",
+    "contact_probability": "probability",
+    "model_probability": "probability",
+}
+_VARIANTS = ("_unscreened", "_lower", "_upper")
+_GREEK = ("phi", "delta", "sigma", "eta")
 
 
 def wrapped(text: str, inches: float, size: float) -> str:
@@ -53,7 +64,12 @@ def title_of(array: xr.DataArray) -> str:
 
 def label_of(array: xr.DataArray, unit: str) -> str:
     """Return what stands at an axis or a colour bar: the symbol and the unit, as far as there are such."""
-    record = quantity(str(array.name))
+    name = str(array.name)
+    for variant in _VARIANTS:
+        name = name.removesuffix(variant)
+    if name in _LABELS:
+        return with_unit(_LABELS[name], unit)
+    record = quantity(name)
     symbol = record.symbol if record else ""
     if symbol:
         return with_unit(typeset(symbol), unit)
@@ -99,4 +115,23 @@ def draw_empty(axes: Axes) -> None:
         va="center",
         color="0.4",
         fontsize=TITLE_SIZE,
+    )
+
+
+def draw_words(axes: Axes, words: str) -> None:
+    """Fill the cell of a map with words."""
+    axes.set_xticks([])
+    axes.set_yticks([])
+    axes.set_facecolor("0.97")
+    inches = axes.bbox.width / axes.figure.dpi
+    axes.text(
+        0.5,
+        0.5,
+        wrapped(words, 0.9 * inches, LABEL_SIZE),
+        transform=axes.transAxes,
+        ha="center",
+        va="center",
+        color="0.3",
+        fontsize=LABEL_SIZE,
+        parse_math=False,
     )

@@ -78,6 +78,30 @@ def log_ticks(low: float, high: float, room: int) -> Ticks:
     return Ticks(positions, power_labels(positions, low, high))
 
 
+def edge_ticks(edges: Sequence[float]) -> Ticks:
+    """Return ticks at numbers that are not round, with two or three digits.
+
+    Examples
+    --------
+    >>> edge_ticks((83.2114, 124.817, 1187.2)).labels
+    ('83.2', '125', '1190')
+    """
+    digits = 2 if len(edges) > 1 and _apart(edges, 2) else 3
+    labels = tuple(_rounded(edge, digits).translate(_MINUS) for edge in edges)
+    return Ticks(tuple(edges), labels)
+
+
+def _apart(edges: Sequence[float], digits: int) -> bool:
+    """Return whether rounding moves no edge by more than a tenth of its distance to the next."""
+    step = np.diff(edges).min()
+    return all(abs(float(f"{edge:.{digits}g}") - edge) < 0.05 * step for edge in edges)
+
+
+def _rounded(value: float, digits: int) -> str:
+    number = float(f"{value:.{digits}g}")
+    return f"{number:g}" if number == 0.0 or 1e-3 <= abs(number) < 1e5 else f"{number:.{digits - 1}e}"
+
+
 def power_labels(positions: Sequence[float], low: float, high: float) -> tuple[str, ...]:
     """Write plain numbers where all of them are short, and powers of ten otherwise.
 

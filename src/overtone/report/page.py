@@ -11,27 +11,21 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+import xarray as xr
 from jinja2 import Environment, StrictUndefined
 from matplotlib.figure import Figure
 
 from overtone import plots, provenance
 from overtone._version import __version__
 from overtone.io.atomic import atomic_path
+from overtone.report import captions
 from overtone.report.content import Report, Table
+from overtone.report.results import EXACT, LEAST_SQUARES, POSTERIOR, method_of, undetermined
 from overtone.report.shares import status_shares
+from overtone.report.validity import validity_in, validity_tables
 
 _Pairs = tuple[tuple[str, str], ...]
 _SHOWN_ELSEWHERE = ("history", "findings")
-_CURVE = (
-    "Grey: as read; blue: corrected; line: what the fit on the reference says at that amplitude. Z is counted from the "
-    "onset, where the amplitude begins to fall. Readings far above the sample show no more than noise once corrected. "
-    "Without a sample, everything that is read of a higher harmonic comes from the instrument."
-)
-_SCAN = (
-    "Both colour scales of a signal are equally wide, each about its own map. Below: the pixels that tied the scan "
-    "to the approach curve, and medians of the lines over these pixels, less the median of all lines."
-)
-_GREY = "Grey with stripes: the data do not determine the value there. Flat light grey: no data."
 
 
 def write_report(report: Report, path: str | Path) -> Path:
@@ -74,7 +68,9 @@ def render(report: Report) -> str:
         report=report,
         figures=list(_pictures(report)),
         calibration=_calibration(report),
-        status=(status_shares(report.properties),) if report.properties else (),
+        status=(status_shares(report.properties), *validity_tables(report.properties))
+        if report.properties
+        else (),
         records=list(_records(report)),
         version=__version__,
         date=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
@@ -106,10 +102,10 @@ def _calibration(report: Report) -> _Calibration | None:
     figures = []
     if known is not None and known.raw is not None and known.corrected is not None:
         figure = plots.calibration_figure(known.raw, known.corrected, known.calibration, known.far_field)
-        figures.append(_picture("Approach curve before and after", figure, _CURVE))
+        figures.append(_picture("Approach curve before and after", figure, captions.CURVE))
     if report.before is not None:
         figure = plots.correction_figure(report.before, report.observables)
-        figures.append(_picture("Scan before and after", figure, _SCAN))
+        figures.append(_picture("Scan before and after", figure, captions.SCAN))
     if known is None:
         return _Calibration("", (), (), tuple(figures)) if figures else None
     from overtone.report.summary import calibration_tables
@@ -124,8 +120,7 @@ def _pictures(report: Report) -> Iterator[_Picture]:
         yield _picture(
             "At a glance",
             plots.overview_figure(report),
-            "What was measured, the modulus concluded from it, and how many decades of modulus fit the data at 90 %. "
-            + _GREY,
+            _glance(report),
         )
     yield _picture(
         "Observables",
@@ -144,18 +139,31 @@ def _pictures(report: Report) -> Iterator[_Picture]:
         "Energy lost per cycle and virial, which follow from amplitude and phase alone, without a contact model.",
     )
     for label, result in report.properties.items():
-        yield _picture(
-            f"Properties from {label}",
-            plots.properties_figure(label, result),
-            "Estimates, the range of moduli that fit the data at 90 %, and what each pixel can be trusted for. "
-            f"{_GREY} A small residual N_r is no evidence that an estimate is right: three force harmonics and three "
-            "unknowns leave next to no residual at any answer.",
-        )
-        yield _picture(
-            f"Distributions from {label}",
-            plots.histogram_figure(label, result, report.truth, report.materials),
-            "Filled: determined pixels; outlined: all others, which are no measurement; both axes are logarithmic.",
-        )
+        yield from _property_pictures(label, result, report)
+
+
+def _glance(report: Report) -> str:
+    text = "What was measured, the modulus concluded from it, and how many decades of modulus fit the data at 90 %. "
+    stepped = any(method_of(result) != LEAST_SQUARES for result in report.properties.values())
+    return f"{text}{captions.GREY}" + (f" {captions.STEPS}" if stepped else "")
+
+
+def _property_pictures(label: str, result: xr.Dataset, report: Report) -> Iterator[_Picture]:
+    """Yield what there is to see of one inversion, with the words of its method."""
+    method = method_of(result)
+    caption = {POSTERIOR: captions.INTERVALS, EXACT: captions.SOLUTIONS}.get(method, captions.ESTIMATES)
+    if method != LEAST_SQUARES and bool(undetermined(result).all()):
+        caption = f"{captions.NOWHERE} {caption}"
+    yield _picture(f"Properties from {label}", plots.properties_figure(label, result), caption)
+    if method == POSTERIOR:
+        yield _picture(f"Certainty from {label}", plots.certainty_figure(label, result), captions.CERTAINTY)
+    if validity_in(result):
+        yield _picture(f"Validity from {label}", plots.validity_figure(label, result), captions.VALIDITY)
+    yield _picture(
+        f"Distributions from {label}",
+        plots.histogram_figure(label, result, report.truth, report.materials),
+        captions.BARS if method == POSTERIOR else captions.COUNTS,
+    )
 
 
 def _picture(title: str, figure: Figure, caption: str) -> _Picture:

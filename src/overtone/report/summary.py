@@ -1,12 +1,11 @@
-"""Tables that sum a result up."""
+"""Tables that sum a result up: energies and calibrations here, properties by their method in modules of their own."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 import xarray as xr
 
 from overtone.harmonics import ATTRACTIVE, REPULSIVE, UNDETERMINED
@@ -14,34 +13,27 @@ from overtone.instrument.calibration import Calibration, summary_rows
 from overtone.instrument.correct import calibration_of
 from overtone.instrument.gates import GATE, Gate
 from overtone.instrument.unknowns import UNKNOWNS
-from overtone.inversion.properties import DETERMINED, POOR_RESIDUAL
-from overtone.quantities import quantity
 from overtone.report.content import Report, Table
-from overtone.units import display_unit, format_quantity
+from overtone.report.numbers import median_of, percent, range_of
+from overtone.report.property_tables import property_table
+from overtone.report.truth_tables import truth_properties_table, truth_table
+from overtone.report.validity import validity_tables
+from overtone.units import format_quantity
 
-_MAJORITY = 0.5
-_FEW = 0.1  # share of determined pixels below which they are the outliers of the noise
+__all__ = [
+    "calibration_tables",
+    "energy_table",
+    "gate_table",
+    "property_table",
+    "regime_shares",
+    "truth_properties_table",
+    "truth_table",
+    "unknown_table",
+    "validity_tables",
+]
+
 _TIGHTEST = 3
 _UNITS = {unknown.name: unknown.unit for unknown in UNKNOWNS}
-
-
-def _range(values: npt.NDArray[np.float64], unit: str, low: float, high: float) -> str:
-    """Return two percentiles with one unit between them."""
-    values = values[np.isfinite(values)]
-    if values.size == 0:
-        return "-"
-    ends = np.percentile(values, [low, high])
-    display = display_unit(float(np.abs(ends).max()), unit)
-    return f"{ends[0] * display.factor:.3g} .. {ends[1] * display.factor:.3g} {display.label}".strip()
-
-
-def _median(values: npt.NDArray[np.float64], unit: str) -> str:
-    values = values[np.isfinite(values)]
-    return format_quantity(float(np.median(values)), unit) if values.size else "-"
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.0f} %" if share == 0.0 or share >= 0.01 else f"{100 * share:.1f} %"
 
 
 def energy_table(energies: xr.Dataset, others: Sequence[xr.Dataset] = ()) -> Table:
@@ -58,9 +50,9 @@ def energy_table(energies: xr.Dataset, others: Sequence[xr.Dataset] = ()) -> Tab
         values = np.asarray(array.values).ravel()
         finite = values[np.isfinite(values)]
         mean = format_quantity(float(finite.mean()), unit) if finite.size else "-"
-        row = [label, mean, _median(values, unit), _range(values, unit, 5, 95)]
+        row = [label, mean, median_of(values, unit), range_of(values, unit, 5, 95)]
         if others:
-            row.append(_range(np.array([_mean(other, label) for other in others]), unit, 0, 100))
+            row.append(range_of(np.array([_mean(other, label) for other in others]), unit, 0, 100))
         rows.append(tuple(row))
     shares = regime_shares(energies)
     attractive = float((first["F_cons"] > 0).mean())
@@ -75,8 +67,8 @@ def energy_table(energies: xr.Dataset, others: Sequence[xr.Dataset] = ()) -> Tab
         ),
         tuple(rows),
         note="Regime by the sign of F1_cons: "
-        + ", ".join(f"{name} {_percent(share)}" for name, share in shares.items())
-        + f". With the probe in use alone {_percent(attractive)} would be attractive; undetermined is what noise "
+        + ", ".join(f"{name} {percent(share)}" for name, share in shares.items())
+        + f". With the probe in use alone {percent(attractive)} would be attractive; undetermined is what noise "
         "or another reading of the same file turns round.",
     )
 
@@ -91,113 +83,6 @@ def regime_shares(energies: xr.Dataset) -> dict[str, float]:
     """Return the share of pixels in each regime."""
     codes = {"attractive": ATTRACTIVE, "undetermined": UNDETERMINED, "repulsive": REPULSIVE}
     return {name: float((energies["regime"] == code).mean()) for name, code in codes.items()}
-
-
-def property_table(label: str, result: xr.Dataset) -> Table:
-    """Return the properties of a scan where they are determined, and what the estimator gave elsewhere."""
-    determined = float((result["status"] == DETERMINED).mean())
-    quoted = determined >= _FEW
-    rows = []
-    for name in ("modulus", "adhesion", "indentation"):
-        if name not in result:
-            continue
-        record = quantity(name)
-        unit = record.unit if record else "1"
-        kept = result[name].values.ravel() if quoted else np.empty(0)
-        every = result[f"{name}_unscreened" if f"{name}_unscreened" in result else name].values.ravel()
-        rows.append((name, _median(kept, unit), _range(kept, unit, 5, 95), _range(every, unit, 5, 95)))
-    if 0.0 < determined < _FEW:
-        count = int((result["status"] == DETERMINED).sum())
-        note = f"{count} pixels pass as determined, so few that their noise selected them: not quoted."
-    else:
-        note = f"{_percent(determined)} of pixels are determined."
-    reason = result.attrs.get("cannot_conclude", "")
-    return Table(
-        f"Properties ({label})",
-        (
-            "property",
-            "median, determined",
-            "5 .. 95 %, determined",
-            "5 .. 95 %, every pixel (not to be quoted)",
-        ),
-        tuple(rows),
-        note=f"{note} {_held(result)} {reason}".strip(),
-    )
-
-
-def _held(result: xr.Dataset) -> str:
-    if "calibration" in result.attrs:
-        return "Intervals hold noise and what the calibration leaves uncertain for the whole scan."
-    return "Intervals hold noise only."
-
-
-def truth_table(properties: Mapping[str, xr.Dataset], truth: xr.Dataset, materials: tuple[str, ...]) -> Table:
-    """Return estimated moduli beside the truth of a simulation, by material."""
-    rows = []
-    for i, material in enumerate(materials):
-        mask = truth["material"].values == i
-        for label, result in properties.items():
-            estimate = result["modulus_unscreened"].values[mask]
-            residual, status = result["residual"].values[mask], result["status"].values[mask]
-            spread = np.nanpercentile(result["start_spread"].values[mask], 95)
-            share = float((status == DETERMINED).mean())
-            rows.append(
-                (
-                    material,
-                    label,
-                    _median(truth["modulus"].values[mask], "Pa"),
-                    _median(estimate, "Pa"),
-                    _range(estimate, "Pa", 16, 84),
-                    f"x {math.exp(spread):.3g}",
-                    _percent(float((residual < POOR_RESIDUAL).mean())),
-                    f"{np.nanmedian(result['uncertainty'].values[mask]):.2g}",
-                    f"{_percent(share)}: {'can tell' if share >= _MAJORITY else 'cannot tell'}",
-                )
-            )
-    return Table(
-        "Modulus by least squares, the published estimator",
-        (
-            "material",
-            "from",
-            "truth",
-            "median",
-            "16 .. 84 % of pixels",
-            "starts",
-            "N_r < 0.1",
-            "ampl. x noise",
-            "determined",
-        ),
-        tuple(rows),
-        note="starts: factor between the answers from three starting points (95 % of pixels). N_r < 0.1: what the "
-        "method's paper takes for a good fit; it holds whether or not the answer is right. ampl. x noise: linearised "
-        "error of ln E. determined: no modulus outside one decade fits the data.",
-    )
-
-
-def truth_properties_table(
-    properties: Mapping[str, xr.Dataset], truth: xr.Dataset, materials: tuple[str, ...]
-) -> Table:
-    """Return estimated adhesion and indentation beside the truth of a simulation, by material."""
-    rows = []
-    for name in ("adhesion", "indentation"):
-        record = quantity(name)
-        unit = record.unit if record else "1"
-        for i, material in enumerate(materials):
-            mask = truth["material"].values == i
-            for label, result in properties.items():
-                values = result[f"{name}_unscreened"].values[mask]
-                rows.append(
-                    (
-                        name,
-                        material,
-                        label,
-                        _median(truth[name].values[mask], unit),
-                        _median(values, unit),
-                        _range(values, unit, 16, 84),
-                    )
-                )
-    columns = ("property", "material", "from", "truth", "median", "16 .. 84 % of pixels")
-    return Table("Adhesion and indentation by least squares", columns, tuple(rows))
 
 
 def calibration_tables(report: Report) -> tuple[Table, ...]:

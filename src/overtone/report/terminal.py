@@ -13,6 +13,7 @@ from rich.text import Text
 
 from overtone.report.content import Report, Table
 from overtone.report.shares import status_shares
+from overtone.report.validity import validity_tables
 
 _WIDEST = 100
 _GAP = 2
@@ -50,6 +51,8 @@ def print_report(report: Report, console: Console | None = None) -> None:
     if report.properties:
         console.print()
         console.print(_table(status_shares(report.properties), width), width=width)
+    for table in validity_tables(report.properties):
+        print_table(table, console)
 
 
 def print_table(table: Table, console: Console) -> None:

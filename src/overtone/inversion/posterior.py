@@ -1,0 +1,739 @@
+"""The whole posterior of a pixel, by quadrature over the indentation and the modulus.
+
+With Gaussian errors the force of adhesion and the loss integrate out in closed form at each indentation and modulus,
+within their bounds; the two that are left are summed over a grid that follows the valley of the misfit, wherever it
+bends. What comes out are marginal distributions, as medians and 90 % intervals, and the evidence: the probability of the
+data under the model and the priors. Out of contact the attraction alone is left, and the sum is over the gap.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from overtone.inversion.columns import Columns, adhesive
+from overtone.inversion.exact import apart, gap_range, has_reach, lowest_between, scan_valley
+from overtone.inversion.linear import sample_modulus, stiffness
+from overtone.inversion.table import DEEPEST, NODES, SHALLOWEST, STEP, Table, locate
+from overtone.inversion.valley import (
+    Box,
+    Scratch,
+    best_S,
+    chi2_at,
+    edge_of_S,
+    new_scratch,
+    reduce,
+    solved,
+    tabulated_columns,
+    whiten,
+)
+from overtone.kernels import inlined, inner, kernel
+
+_Floats = npt.NDArray[np.float64]
+
+QUANTITIES = 5
+MODULUS_, ADHESION_, INDENTATION_, LOSS_, TANGENT_ = 0, 1, 2, 3, 4
+"""Quantities of an answer: ln of the first unknown, F_ad, indentation, S tan(delta), tan(delta)."""
+LEVELS = np.array([0.05, 0.5, 0.95])
+SUMMARIES = 5
+MEAN_, SPREAD_, EVIDENCE_, CONTACT_, MISFIT_ = 0, 1, 2, 3, 4
+"""Summaries of an answer: mean and standard deviation of ln of the first unknown, ln Z, probability of contact, chi2."""
+
+_STRIDE = 4  # of the table, in the first look at the valley
+_REACH = 20.0  # of chi-squared beyond its least, where the sum over the indentation ends
+_INNER_REACH = 14.0
+_ACROSS, _MOST_ACROSS = 7, 31  # nodes along ln E at one indentation
+_ALONG, _MOST_ALONG = 17, 51  # nodes along the indentation
+_WIDTH_ALONG = 0.4  # of t, between nodes where the valley is long
+_WIDTH_ACROSS = 0.8
+_MODES = 3
+_BINS = 160
+_GAP_NODES = 61
+_NEGLIGIBLE = 1e-6
+_PIECES = 8
+_DECADES = 8.0  # of S tan(delta), below its largest
+_ROOT_2 = math.sqrt(2.0)
+_LOG_ROOT_2PI = 0.5 * math.log(2.0 * math.pi)
+
+
+class Prior(NamedTuple):
+    """What is known of a pixel before it was measured, as the kernel takes it."""
+
+    log_low: float
+    """Bounds of ln of the first unknown (modulus, stiffness, prefactor)."""
+    log_high: float
+    centre: float
+    """Mean of ln of the first unknown, and"""
+    precision: float
+    """one over its variance; 0 for all of it alike."""
+    adhesion_low: float
+    """Bounds of F_ad [N]."""
+    adhesion_high: float
+    adhesion_mean: float
+    adhesion_precision: float
+    """As for the first unknown, of F_ad itself."""
+    tangent_high: float
+    """Largest loss tangent; all of them alike from 0."""
+    shallowest: float
+    """Smallest indentation, or gap out of contact [m]; all of their logarithms alike."""
+    contact: float
+    """Probability of contact."""
+
+
+@inlined
+def gauss_mass(low: float, high: float, mean: float, sigma: float) -> tuple[float, float]:
+    """Return what a Gaussian has between two bounds, as a mass and an exponent that multiply: ``mass e^exponent``."""
+    a, b = (low - mean) / sigma, (high - mean) / sigma
+    if a > 5.0 or b < -5.0:
+        far = max(a, -b)
+        tail = 1.0 / (far * far)
+        return 0.3989422804014327 / far * (1.0 - tail * (1.0 - 3.0 * tail)), -0.5 * far * far
+    above = 0.5 * math.erfc(a / _ROOT_2) if a > -6.0 else 1.0
+    beyond = 0.5 * math.erfc(b / _ROOT_2) if b < 6.0 else 0.0
+    return above - beyond, 0.0
+
+
+@inlined
+def gauss_moments(low: float, high: float, mean: float, sigma: float) -> tuple[float, float]:
+    """Return mean and spread of a Gaussian between two bounds."""
+    a, b = (low - mean) / sigma, (high - mean) / sigma
+    if a < -6.0 and b > 6.0:
+        return mean, sigma
+    if a > 5.0:
+        return low + sigma / a, sigma / a
+    if b < -5.0:
+        return high + sigma / b, -sigma / b
+    mass, _ = gauss_mass(low, high, mean, sigma)
+    if not mass > 0.0:
+        return 0.5 * (low + high), 0.0
+    at_a = 0.3989422804014327 * math.exp(-0.5 * a * a)
+    at_b = 0.3989422804014327 * math.exp(-0.5 * b * b)
+    shift = (at_a - at_b) / mass
+    bend = (a * at_a if at_a > 0.0 else 0.0) - (b * at_b if at_b > 0.0 else 0.0)
+    variance = 1.0 + bend / mass - shift * shift
+    return mean + sigma * shift, sigma * math.sqrt(max(variance, 0.0))
+
+
+@inlined
+def _spread_over(histogram: _Floats, low: float, width: float, left: float, right: float, mass: float) -> None:
+    """Add a mass, even between two values, to bins that begin at ``low``."""
+    last = histogram.shape[0] - 1
+    x0, x1 = (left - low) / width, (right - low) / width
+    k0, k1 = int(min(max(x0, 0.0), last)), int(min(max(x1, 0.0), last))
+    if k0 == k1 or not x1 > x0:
+        histogram[k0] += mass
+        return
+    even = mass / (x1 - x0)
+    histogram[k0] += even * (k0 + 1 - x0)
+    for k in range(k0 + 1, k1):
+        histogram[k] += even
+    histogram[k1] += even * (x1 - k1)
+
+
+@inner
+def _quantiles(histogram: _Floats, low: float, width: float, out: _Floats) -> None:
+    """Fill the quantiles of a histogram."""
+    total = 0.0
+    for k in range(histogram.shape[0]):
+        total += histogram[k]
+    level, below = 0, 0.0
+    for k in range(histogram.shape[0]):
+        above = below + histogram[k]
+        while level < LEVELS.shape[0] and above >= LEVELS[level] * total and histogram[k] > 0.0:
+            out[level] = low + width * (k + (LEVELS[level] * total - below) / histogram[k])
+            level += 1
+        below = above
+
+
+@inner
+def _smear(histogram: _Floats, sigma: float, work: _Floats) -> None:
+    """Fold a histogram with a Gaussian of a width in bins."""
+    reach = int(4.0 * sigma) + 1
+    size = histogram.shape[0]
+    for k in range(size):
+        work[k] = 0.0
+    norm = 0.0
+    for j in range(-reach, reach + 1):
+        norm += math.exp(-0.5 * (j / sigma) ** 2)
+    for j in range(-reach, reach + 1):
+        share = math.exp(-0.5 * (j / sigma) ** 2) / norm
+        for k in range(max(0, -j), min(size, size - j)):
+            work[k + j] += share * histogram[k]
+    for k in range(size):
+        histogram[k] = work[k]
+
+
+@inlined
+def _add_even(
+    histogram: _Floats, low: float, width: float, left: float, right: float, logarithmic: bool, mass: float
+) -> None:
+    if logarithmic:
+        right = max(right, 1e-300)
+        left = max(left, 1e-3 * right)
+        _spread_over(histogram, low, width, math.log(left), math.log(right), mass)
+    else:
+        _spread_over(histogram, low, width, left, right, mass)
+
+
+@inner
+def _add_gaussian(
+    histogram: _Floats,
+    low: float,
+    width: float,
+    middle: float,
+    half: float,
+    sigma: float,
+    least: float,
+    most: float,
+    logarithmic: bool,
+    mass: float,
+) -> None:
+    """Add a mass around a value: Gaussian between two bounds, and even over the cell of its node beyond that.
+
+    With ``logarithmic`` the bins are those of the logarithm.
+    """
+    if middle - 4.0 * sigma < least or middle + 4.0 * sigma > most:
+        left, right = max(middle - 4.0 * sigma, least), min(middle + 4.0 * sigma, most)
+        if left > most - 4.0 * sigma and not left < right:
+            left = max(most - 4.0 * sigma, least)
+        if not left < right:  # far beyond a bound: what is left falls off within a small part of sigma
+            reach = sigma * sigma / max(abs(least - middle), abs(middle - most), sigma)
+            if middle < least:
+                left, right = least, min(least + 3.0 * reach, most)
+            else:
+                left, right = max(most - 3.0 * reach, least), most
+        piece = (right - left) / _PIECES
+        total = 0.0
+        # relative to the largest of them: far beyond a bound all are small
+        nearest = min(max(middle, left), right) - middle
+        for j in range(_PIECES):
+            off = left + (j + 0.5) * piece - middle
+            total += math.exp(-0.5 * (off * off - nearest * nearest) / (sigma * sigma))
+        for j in range(_PIECES):
+            off = left + (j + 0.5) * piece - middle
+            part = mass / total * math.exp(-0.5 * (off * off - nearest * nearest) / (sigma * sigma))
+            _add_even(histogram, low, width, left + j * piece, left + (j + 1) * piece, logarithmic, part)
+        return
+    scale = max(abs(middle), 1e-300) if logarithmic else 1.0
+    if sigma <= 0.3 * half or sigma <= 0.3 * width * scale:
+        reach = math.sqrt(half * half + 3.0 * sigma * sigma)
+        _add_even(
+            histogram, low, width, max(middle - reach, least), min(middle + reach, most), logarithmic, mass
+        )
+        return
+    # three even pieces that together have the variance and nearly the 90 % interval of a Gaussian
+    wide = math.sqrt((0.65 * sigma) ** 2 + half * half)
+    for way in (-1.0, 0.0, 1.0):
+        there = middle + way * 1.3 * sigma
+        part = mass * (0.5 if way == 0.0 else 0.25)
+        _add_even(
+            histogram, low, width, max(there - wide, least), max(min(there + wide, most), least), logarithmic, part
+        )
+
+
+class Grid(NamedTuple):
+    """What is kept of every node (along, across)."""
+
+    weight: _Floats
+    x: _Floats
+    F: _Floats
+    F_spread: _Floats
+    """(along,)."""
+    c: _Floats
+    c_spread: _Floats
+    S: _Floats
+    t: _Floats
+    """(along,)."""
+    cell: _Floats
+    """(along,): half of its width in t."""
+    members: npt.NDArray[np.int64]
+    """(along,): nodes across."""
+
+
+@inner
+def new_grid() -> Grid:
+    """Return a grid for a pixel."""
+    most = _MODES * _MOST_ALONG
+    return Grid(
+        np.zeros((most, _MOST_ACROSS)),
+        np.zeros((most, _MOST_ACROSS)),
+        np.zeros((most, _MOST_ACROSS)),
+        np.zeros(most),
+        np.zeros((most, _MOST_ACROSS)),
+        np.zeros((most, _MOST_ACROSS)),
+        np.zeros((most, _MOST_ACROSS)),
+        np.zeros(most),
+        np.zeros(most),
+        np.zeros(most, np.int64),
+    )
+
+
+@inner
+def _stretches(
+    table: Table, slot: int, share: float, scale: float, orders: npt.NDArray[np.int64], lossy: npt.NDArray[np.bool_],
+    W: _Floats, sticky: bool, loss: bool, box: Box, s: Scratch, bounded: _Floats, bottom: float, ends: _Floats,
+) -> tuple[int, float]:
+    """Fill the stretches of t that matter; return how many, and the least chi-squared.
+
+    ``bottom`` is the smallest t that the prior allows.
+    """
+    nodes = (NODES - 1) // _STRIDE + 1
+    width = STEP * _STRIDE
+    scan_valley(table, slot, share, scale, orders, lossy, W, sticky, loss, box, s, _STRIDE, bounded)
+    least = math.inf
+    minima = 0
+    where, depth = np.empty(_MODES), np.empty(_MODES)
+    for k in range(nodes):
+        t = SHALLOWEST + width * k
+        if t < bottom - width:
+            continue
+        before = bounded[k - 1] if k > 0 and t - width > bottom - width else math.inf
+        after = bounded[k + 1] if k < nodes - 1 else math.inf
+        if not (bounded[k] <= before and bounded[k] < after):
+            continue
+        low, high = max(t - width, bottom), min(t + width, DEEPEST)
+        if not low < high:
+            continue
+        near, value = lowest_between(
+            table, slot, share, scale, low, high, 2e-3, orders, lossy, W, sticky, loss, box, s
+        )
+        if minima < _MODES:
+            where[minima], depth[minima] = near, value
+            minima += 1
+        else:  # the worst gives way
+            worst = 0
+            for j in range(1, _MODES):
+                if depth[j] > depth[worst]:
+                    worst = j
+            if value < depth[worst]:
+                for j in range(worst, _MODES - 1):
+                    where[j], depth[j] = where[j + 1], depth[j + 1]
+                where[_MODES - 1], depth[_MODES - 1] = near, value
+        least = min(least, value)
+    count = 0
+    target = least + _REACH
+    for j in range(minima):
+        if depth[j] > target:
+            continue
+        if count > 0 and where[j] <= ends[count - 1, 1]:
+            continue  # within the stretch of the one before
+        for side in range(2):
+            way = -1.0 if side == 0 else 1.0
+            limit = bottom if side == 0 else DEEPEST
+            inside, at_inside = where[j], depth[j]
+            # node by node until it is out
+            place = (where[j] - SHALLOWEST) / width
+            k = int(math.ceil(place)) - 1 if side == 0 else int(math.floor(place)) + 1
+            outside, at_outside = limit, math.inf
+            while 0 <= k < nodes:
+                t = SHALLOWEST + width * k
+                if (t - limit) * way >= 0.0:
+                    break
+                if bounded[k] > target:
+                    outside, at_outside = t, bounded[k]
+                    break
+                inside, at_inside = t, bounded[k]
+                k += 1 if side else -1
+            edge = limit
+            if at_outside < math.inf:
+                # until the end of the stretch is known to a part of its length
+                for _ in range(60):
+                    x0, x1 = math.sqrt(max(at_inside - least, 0.0)), math.sqrt(at_outside - least)
+                    part = (math.sqrt(_REACH) - x0) / (x1 - x0)
+                    middle = inside + min(max(part, 0.1), 0.9) * (outside - inside)
+                    tabulated_columns(table, slot, share, scale, middle, orders, lossy, W, s)
+                    value = solved(reduce(s, sticky, loss), s, sticky, box)[0]
+                    if value > target:
+                        outside, at_outside = middle, value
+                        if value < target + 0.3 * _REACH:
+                            break
+                    else:
+                        inside, at_inside = middle, value
+                    if abs(outside - inside) < 0.1 * abs(inside - where[j]):
+                        break
+                edge = outside
+            ends[count, side] = edge
+        if count > 0 and ends[count, 0] < ends[count - 1, 1]:
+            ends[count, 0] = ends[count - 1, 1]
+        count += 1
+    return count, least
+
+
+@kernel
+def posterior_pixels(
+    y: _Floats,
+    whitening: _Floats,
+    amplitude: _Floats,
+    usable: npt.NDArray[np.bool_],
+    columns: Columns,
+    table: Table,
+    orders: npt.NDArray[np.int64],
+    lossy: npt.NDArray[np.bool_],
+    attraction: npt.NDArray[np.int64],
+    prior: Prior,
+    radius_pull: _Floats,
+    radius_variance: _Floats,
+    whole: bool,
+    quantiles: _Floats,
+    summary: _Floats,
+) -> None:
+    """Sum the posterior of every pixel.
+
+    Parameters
+    ----------
+    y, whitening : array (pixel, row), (pixel or 1, row, row)
+        Force harmonics [N] and what whitens their errors.
+    amplitude, usable : array (pixel,)
+        Of the tip [m]; False where there is nothing to invert.
+    columns, table : Columns, Table
+        The model, and its table for these amplitudes.
+    orders, lossy : array (row,)
+        As `overtone.inversion.forces.Rows` has them.
+    attraction : array (1,)
+        Row of CONS_1, whose sign says whether the tip may stay out of contact; -1 without.
+    prior : Prior
+        Of the material and the indentation.
+    radius_pull, radius_variance : array (pixel or 1, row), (pixel or 1,)
+        What a whitened residual says of ln of the first unknown through the radius of the tip, and the variance of it
+        that is left.
+    whole : bool
+        Whether quantiles are wanted beside the summary.
+    quantiles : array (pixel, QUANTITIES, 3)
+        Filled: 5, 50 and 95 % of every quantity, given contact where that is the more likely, else out of it.
+    summary : array (pixel, SUMMARIES)
+        Filled.
+    """
+    rows = orders.shape[0]
+    s = new_scratch(rows + 1, table.elastic.shape[2] - 1)
+    sticky, loss = adhesive(columns), columns.loss > 0.0
+    contact = columns.contact
+    bounded = np.empty((NODES - 1) // _STRIDE + 1)
+    ends = np.empty((_MODES, 2))
+    grid = new_grid()
+    along = np.empty(grid.t.shape[0])
+    histogram, work = np.empty(_BINS), np.empty(_BINS)
+    root_F = math.sqrt(prior.adhesion_precision)
+    if root_F > 0.0:
+        s.wb[rows], s.wy[rows] = root_F, root_F * prior.adhesion_mean
+    box = Box(
+        stiffness(contact, math.exp(prior.log_low))[0],
+        stiffness(contact, math.exp(prior.log_high))[0],
+        prior.adhesion_low,
+        prior.adhesion_high,
+    )
+    # densities of the priors
+    log_prior = -math.log(prior.log_high - prior.log_low)
+    if prior.precision > 0.0:
+        mass, more = gauss_mass(prior.log_low, prior.log_high, prior.centre, 1.0 / math.sqrt(prior.precision))
+        log_prior = 0.5 * math.log(prior.precision) - _LOG_ROOT_2PI - math.log(mass) - more
+    log_prior_F = 0.0
+    if sticky:
+        log_prior_F = -math.log(prior.adhesion_high - prior.adhesion_low)
+        if root_F > 0.0:
+            mass, more = gauss_mass(prior.adhesion_low, prior.adhesion_high, prior.adhesion_mean, 1.0 / root_F)
+            log_prior_F = math.log(root_F) - _LOG_ROOT_2PI - math.log(mass) - more
+    for i in range(y.shape[0]):
+        quantiles[i], summary[i] = math.nan, math.nan
+        if not usable[i]:
+            continue
+        A = amplitude[i]
+        slot, share = locate(table, A)
+        if slot < 0:
+            continue
+        W = whitening[min(i, whitening.shape[0] - 1)]
+        u = radius_pull[min(i, radius_pull.shape[0] - 1)]
+        variance_R = radius_variance[min(i, radius_variance.shape[0] - 1)]
+        scale = A**table.power
+        whiten(W, y[i], s.wy)
+        log_norm = -rows * _LOG_ROOT_2PI
+        for r in range(rows):
+            log_norm += math.log(W[r, r])
+        bottom = max(math.log(prior.shallowest / (2.0 * A - prior.shallowest)), SHALLOWEST)
+        deepest = 2.0 * A / (1.0 + math.exp(-DEEPEST))
+        log_prior_t = -math.log(deepest / (2.0 * A / (1.0 + math.exp(-bottom))))
+        count, least = _stretches(
+            table, slot, share, scale, orders, lossy, W, sticky, loss, box, s, bounded, bottom, ends
+        )
+        nodes, total, most = 0, 0.0, 0.0
+        mean, square = 0.0, 0.0
+        for stretch in range(count):
+            low, high = ends[stretch, 0], ends[stretch, 1]
+            n = min(max(_ALONG, int((high - low) / _WIDTH_ALONG) + 1), _MOST_ALONG)
+            step = (high - low) / (n - 1)
+            for j in range(n):
+                t = low + step * j
+                Delta = tabulated_columns(table, slot, share, scale, t, orders, lossy, W, s)
+                m = reduce(s, sticky, loss)
+                grid.t[nodes], grid.cell[nodes], grid.members[nodes] = t, 0.5 * step, 0
+                along[nodes] = 0.0
+                S = best_S(m, box)
+                here = chi2_at(m, S, box)
+                target = here + _INNER_REACH
+                S_low = max(edge_of_S(m, box, target, -1.0), box.softest)
+                S_high = min(edge_of_S(m, box, target, 1.0), box.stiffest)
+                if not S_low < S_high:
+                    nodes += 1
+                    continue
+                first = math.log(sample_modulus(contact, S_low)) if S_low > box.softest else prior.log_low
+                last = math.log(sample_modulus(contact, S_high)) if S_high < box.stiffest else prior.log_high
+                members = min(_ACROSS + 2 * int((last - first) / _WIDTH_ACROSS), _MOST_ACROSS)
+                span = (last - first) / (members - 1)
+                share_of_node = step * span * (1.0 - Delta) * (0.5 if j == 0 or j == n - 1 else 1.0)
+                constant = log_norm + log_prior + log_prior_t + log_prior_F
+                if m.beta2 > 0.0:
+                    constant += _LOG_ROOT_2PI - 0.5 * math.log(m.beta2)
+                if m.gamma2 > 0.0:
+                    constant += _LOG_ROOT_2PI - 0.5 * math.log(m.gamma2) - math.log(prior.tangent_high)
+                factor = share_of_node * math.exp(constant - log_norm)
+                uy, ua, ub, uv = 0.0, 0.0, 0.0, 0.0
+                for r in range(u.shape[0]):
+                    uy += u[r] * s.wy[r]
+                    ua += u[r] * s.wa[r]
+                    ub += u[r] * s.wb[r]
+                    uv += u[r] * s.wv[r]
+                sigma_F = 1.0 / math.sqrt(m.beta2) if m.beta2 > 0.0 else 0.0
+                for k in range(members):
+                    x = first + span * k
+                    S = contact.factor / (contact.tip_compliance + contact.sample_factor * math.exp(-x))
+                    away = S - m.S
+                    exponent = -0.5 * (m.rest + m.alpha2 * away * away - least)
+                    F, c, spread_c, mass = 0.0, 0.0, 0.0, 1.0
+                    if m.beta2 > 0.0:
+                        F = m.F0 + m.F1 * S
+                        mass, more = gauss_mass(prior.adhesion_low, prior.adhesion_high, F, sigma_F)
+                        exponent += more
+                    if m.gamma2 > 0.0:
+                        typical, spread_F = F, 0.0
+                        if m.beta2 > 0.0:
+                            typical, spread_F = gauss_moments(
+                                prior.adhesion_low, prior.adhesion_high, F, sigma_F
+                            )
+                        c = m.c0 + m.c1 * S + m.c2 * typical
+                        spread_c = math.sqrt(1.0 / m.gamma2 + m.c2 * m.c2 * spread_F * spread_F)
+                        part, more = gauss_mass(0.0, prior.tangent_high * S, c, spread_c)
+                        mass *= part / S
+                        exponent += more
+                    if prior.precision > 0.0:
+                        exponent -= 0.5 * prior.precision * (x - prior.centre) ** 2
+                    weight = factor * mass * math.exp(exponent)
+                    if k == 0 or k == members - 1:
+                        weight *= 0.5
+                    # what the residual says of the radius, through errors that both share
+                    if variance_R > 0.0:
+                        x += uy - S * ua - F * ub - c * uv
+                    grid.weight[nodes, k], grid.x[nodes, k] = weight, x
+                    grid.F[nodes, k] = F
+                    if loss:
+                        grid.c[nodes, k], grid.c_spread[nodes, k], grid.S[nodes, k] = c, spread_c, S
+                    total += weight
+                    mean += weight * x
+                    square += weight * x * x
+                    along[nodes] += weight
+                    most = max(most, weight)
+                grid.members[nodes], grid.F_spread[nodes] = members, sigma_F
+                nodes += 1
+        evidence = 0.0
+        if total > 0.0:
+            mean /= total
+            summary[i, MEAN_] = mean
+            summary[i, SPREAD_] = math.sqrt(max(square / total - mean * mean, 0.0) + variance_R)
+            evidence = total
+        reference = least
+        apart_total = 0.0
+        if attraction[0] >= 0 and y[i, attraction[0]] > 0.0 and has_reach(columns) and prior.contact < 1.0:
+            apart_total, least_apart = _out_of_contact(
+                A, columns, orders, lossy, W, prior, log_prior_F, s, along, nodes, quantiles[i], histogram,
+                work, whole,
+            )
+            reference = min(least, least_apart)
+            apart_total *= math.exp(-0.5 * (least_apart - reference)) * (1.0 - prior.contact)
+        together = evidence * math.exp(-0.5 * (least - reference)) * prior.contact
+        if together + apart_total > 0.0:
+            summary[i, CONTACT_] = together / (together + apart_total)
+            summary[i, EVIDENCE_] = math.log(together + apart_total) - 0.5 * reference + log_norm
+        summary[i, MISFIT_] = reference
+        if not total > 0.0 or not whole or summary[i, CONTACT_] < 0.5:
+            continue
+        F_low, F_high = prior.adhesion_high, prior.adhesion_low
+        x_low, x_high, c_high, tangent_high = math.inf, -math.inf, 0.0, 0.0
+        c_low, tangent_low = math.inf, math.inf
+        for j in range(nodes):
+            for k in range(grid.members[j]):
+                if grid.weight[j, k] > _NEGLIGIBLE * most:
+                    x_low, x_high = min(x_low, grid.x[j, k]), max(x_high, grid.x[j, k])
+                    F_low = min(F_low, grid.F[j, k] - 4.0 * grid.F_spread[j])
+                    F_high = max(F_high, grid.F[j, k] + 4.0 * grid.F_spread[j])
+                    if loss:
+                        top = max(grid.c[j, k], 0.0) + 4.0 * grid.c_spread[j, k]
+                        top = min(top, prior.tangent_high * grid.S[j, k])
+                        c_high, tangent_high = max(c_high, top), max(tangent_high, top / grid.S[j, k])
+                        low = max(min(grid.c[j, k] - 4.0 * grid.c_spread[j, k], top), 0.0)
+                        c_low, tangent_low = min(c_low, low), min(tangent_low, low / grid.S[j, k])
+        F_low, F_high = max(F_low, prior.adhesion_low), min(F_high, prior.adhesion_high)
+        # one quantity after the other into the same bins
+        for q in range(QUANTITIES):
+            if q == INDENTATION_ or (q == ADHESION_ and not sticky) or (q >= LOSS_ and not loss):
+                continue
+            more = 4.0 * math.sqrt(variance_R) + 1e-9 + 0.02 * (x_high - x_low)
+            low, high = x_low - more, x_high + more
+            if q == ADHESION_:
+                low, high = F_low, F_high
+            elif q == LOSS_:
+                high = math.log(c_high)
+                low = max(math.log(c_low) if c_low > 0.0 else -math.inf, high - _DECADES * math.log(10.0))
+            elif q == TANGENT_:
+                low, high = tangent_low, tangent_high
+            width = (high - low) / _BINS
+            if not width > 0.0:
+                quantiles[i, q] = low
+                continue
+            histogram[:] = 0.0
+            for j in range(nodes):
+                same = grid.members[j]
+                ahead = j + 1 < nodes and grid.members[j + 1] == same
+                back = j > 0 and grid.members[j - 1] == same
+                for k in range(same):
+                    weight = grid.weight[j, k]
+                    if not weight > _NEGLIGIBLE * most:
+                        continue
+                    if q == MODULUS_:
+                        values = grid.x
+                    elif q == ADHESION_:
+                        values = grid.F
+                    else:
+                        values = grid.c
+                    # half of the way to the next node along the valley, at the same place across it
+                    middle, half = values[j, k], 0.0
+                    if ahead:
+                        half = 0.5 * abs(values[j + 1, k] - middle)
+                    if back:
+                        half = max(half, 0.5 * abs(values[j - 1, k] - middle))
+                    if half == 0.0 and k + 1 < same:
+                        half = 0.5 * abs(values[j, k + 1] - middle)
+                    if q == MODULUS_:
+                        _spread_over(histogram, low, width, middle - half, middle + half, weight)
+                        continue
+                    if q == ADHESION_:
+                        sigma, least_q, most_q = grid.F_spread[j], prior.adhesion_low, prior.adhesion_high
+                    else:
+                        sigma, least_q, most_q = grid.c_spread[j, k], 0.0, prior.tangent_high * grid.S[j, k]
+                        half = min(half, 2.0 * sigma)
+                        if q == TANGENT_:
+                            S = grid.S[j, k]
+                            middle, half, sigma, most_q = middle / S, half / S, sigma / S, prior.tangent_high
+                    _add_gaussian(
+                        histogram, low, width, middle, half, sigma, least_q, most_q, q == LOSS_, weight
+                    )
+            if q == MODULUS_ and variance_R > (0.3 * width) ** 2:
+                _smear(histogram, math.sqrt(variance_R) / width, work)
+            _quantiles(histogram, low, width, quantiles[i, q])
+            if q == LOSS_:
+                for level in range(LEVELS.shape[0]):
+                    quantiles[i, q, level] = math.exp(quantiles[i, q, level])
+        # the indentation is the node itself
+        below, level = 0.0, 0
+        for j in range(nodes):
+            above = below + along[j]
+            while level < LEVELS.shape[0] and above >= LEVELS[level] * total and along[j] > 0.0:
+                left = grid.t[j] - grid.cell[j] * (1.0 if j > 0 and grid.t[j] - grid.t[j - 1] < 3.0 * grid.cell[j] else 0.0)
+                right = grid.t[j] + grid.cell[j] * (
+                    1.0 if j + 1 < nodes and grid.t[j + 1] - grid.t[j] < 3.0 * grid.cell[j] else 0.0
+                )
+                t = left + (right - left) * (LEVELS[level] * total - below) / along[j]
+                quantiles[i, INDENTATION_, level] = 2.0 * A / (1.0 + math.exp(-t))
+                level += 1
+            below = above
+
+
+@inner
+def _out_of_contact(
+    A: float, columns: Columns, orders: npt.NDArray[np.int64], lossy: npt.NDArray[np.bool_], W: _Floats, prior: Prior,
+    log_prior_F: float, s: Scratch, along: _Floats, nodes: int, quantiles: _Floats, histogram: _Floats, work: _Floats,
+    whole: bool,
+) -> tuple[float, float]:
+    """Sum over the gap where the tip stays out of contact; return the sum over exp(-chi2/2) and chi-squared.
+
+    Quantiles of F_ad and of the indentation, negative, are filled.
+    """
+    start, stop = gap_range(columns, A)
+    start = max(start, math.log(prior.shallowest))
+    log_prior_gap = -math.log(stop - start)
+    rows = orders.shape[0]
+    best, where = math.inf, start
+    width = (stop - start) / (_GAP_NODES - 1)
+    # where it fits, coarse and then fine
+    for k in range(_GAP_NODES):
+        chi2, _, _ = apart(A, math.exp(start + width * k), columns, orders, lossy, W, s)
+        if chi2 < best:
+            best, where = chi2, start + width * k
+    low, high = max(where - width, start), min(where + width, stop)
+    for _ in range(40):
+        third = (high - low) / 3.0
+        left = apart(A, math.exp(low + third), columns, orders, lossy, W, s)[0]
+        right = apart(A, math.exp(high - third), columns, orders, lossy, W, s)[0]
+        if left < right:
+            high -= third
+        else:
+            low += third
+        if high - low < 1e-4:
+            break
+    where = 0.5 * (low + high)
+    best = apart(A, math.exp(where), columns, orders, lossy, W, s)[0]
+    ends = np.empty(2)
+    for side in range(2):
+        limit, away = (start, -1e-3) if side == 0 else (stop, 1e-3)
+        edge = where
+        while True:
+            edge = where + away
+            if (edge - limit) * away >= 0.0:
+                edge = limit
+                break
+            if apart(A, math.exp(edge), columns, orders, lossy, W, s)[0] > best + _REACH:
+                break
+            away *= 1.5
+        ends[side] = edge
+    n = _GAP_NODES
+    step = (ends[1] - ends[0]) / (n - 1)
+    total = 0.0
+    weights, F, spread = np.empty(n), np.empty(n), np.empty(n)
+    F_low, F_high = math.inf, 0.0
+    for k in range(n):
+        chi2, _, bb = apart(A, math.exp(ends[0] + step * k), columns, orders, lossy, W, s)
+        free, by = 0.0, 0.0
+        precision = bb + prior.adhesion_precision
+        for r in range(rows):
+            by += s.wb[r] * s.wy[r]
+        middle = (by + prior.adhesion_precision * prior.adhesion_mean) / precision
+        for r in range(rows):
+            left = s.wy[r] - middle * s.wb[r]
+            free += left * left
+        free += prior.adhesion_precision * (middle - prior.adhesion_mean) ** 2
+        F[k], spread[k] = middle, 1.0 / math.sqrt(precision)
+        mass, more = gauss_mass(prior.adhesion_low, prior.adhesion_high, middle, spread[k])
+        exponent = -0.5 * (free - best) + more + _LOG_ROOT_2PI - 0.5 * math.log(precision)
+        weights[k] = mass * math.exp(exponent + log_prior_F + log_prior_gap) * step * (0.5 if k in (0, n - 1) else 1.0)
+        total += weights[k]
+        F_low, F_high = min(F_low, F[k] - 4.0 * spread[k]), max(F_high, F[k] + 4.0 * spread[k])
+    if whole and total > 0.0:
+        histogram[:] = 0.0
+        F_low, F_high = max(F_low, prior.adhesion_low), min(F_high, prior.adhesion_high)
+        width = (F_high - F_low) / _BINS
+        below, level = 0.0, LEVELS.shape[0] - 1
+        for k in range(n):
+            half = 0.5 * abs(F[min(k + 1, n - 1)] - F[max(k - 1, 0)]) * (0.5 if 0 < k < n - 1 else 1.0)
+            _add_gaussian(
+                histogram, F_low, width, F[k], half, spread[k], prior.adhesion_low, prior.adhesion_high, False, weights[k]
+            )
+            # gaps rise, indentations fall: the levels come from the other end
+            above = below + weights[k]
+            while level >= 0 and above >= (1.0 - LEVELS[level]) * total and weights[k] > 0.0:
+                share = ((1.0 - LEVELS[level]) * total - below) / weights[k]
+                quantiles[INDENTATION_, level] = -math.exp(ends[0] + step * (k - 0.5 + share))
+                level -= 1
+            below = above
+        if width > 0.0:
+            _quantiles(histogram, F_low, width, quantiles[ADHESION_])
+    return total, best
