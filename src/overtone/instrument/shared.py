@@ -57,8 +57,8 @@ def first_force(amplitude: Any, phase: Any, probe: Probe) -> npt.NDArray[np.comp
     return np.asarray((amplitude - free) / complex(read_receptance(probe, probe.drive.frequency)))
 
 
-def conservative(signals: Signals, probe: Probe, orders: Sequence[int]) -> _Floats:
-    """Return CONS_n of signals [N], orders on the last axis, as `overtone.to_force_harmonics` has them.
+def forces_of(signals: Signals, probe: Probe, orders: Sequence[int]) -> npt.NDArray[np.complex128]:
+    """Return CONS_n - i DISS_n of signals [N], orders on the last axis, as `overtone.to_force_harmonics` has them.
 
     Raises
     ------
@@ -78,18 +78,34 @@ def conservative(signals: Signals, probe: Probe, orders: Sequence[int]) -> _Floa
     parts = []
     for n, G in zip(orders, receptance, strict=True):
         if n == 0 and signals.mean is not None:
-            parts.append((signals.mean / G).real)
+            parts.append((signals.mean / G).real + 0j)
         elif n == 1:
-            parts.append(first_force(np.abs(first), -np.angle(first), probe).real)
+            parts.append(first_force(np.abs(first), -np.angle(first), probe))
         else:
-            parts.append((frame[n] / G).real)
+            parts.append(frame[n] / G)
     return np.stack(parts, axis=-1)
+
+
+def conservative(signals: Signals, probe: Probe, orders: Sequence[int]) -> _Floats:
+    """Return CONS_n of signals [N], orders on the last axis; raises as `forces_of` does."""
+    return forces_of(signals, probe, orders).real
 
 
 def shared_forces(
     clean: Signals, calibration: Calibration, orders: Sequence[int], **where: Any
 ) -> tuple[_Floats, _Floats]:
     """Return what each independent shared error does to the conservative harmonics, and to ln R.
+
+    As `shared_changes`, of which it is the real part.
+    """
+    changes, radius = shared_changes(clean, calibration, orders, **where)
+    return changes.real, radius
+
+
+def shared_changes(
+    clean: Signals, calibration: Calibration, orders: Sequence[int], **where: Any
+) -> tuple[npt.NDArray[np.complex128], _Floats]:
+    """Return what each independent shared error does to the force harmonics, and to ln R.
 
     Parameters
     ----------
@@ -105,7 +121,7 @@ def shared_forces(
     Returns
     -------
     forces : array (..., harmonic, source)
-        Change of CONS_n [N] for one standard deviation of each source.
+        Change of CONS_n - i DISS_n [N] for one standard deviation of each source.
     radius : array (source,)
         Change of ln R with it.
 
@@ -119,12 +135,12 @@ def shared_forces(
     root = _scale(calibration)[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
     root = root[:, values > 1e-12]
 
-    def forces(at: Mapping[str, float]) -> _Floats:
+    def forces(at: Mapping[str, float]) -> npt.NDArray[np.complex128]:
         signals = undo(read, at, calibration.amplitude, **where)
-        return conservative(signals, probe_with(calibration.probe, at), orders)
+        return forces_of(signals, probe_with(calibration.probe, at), orders)
 
     here = forces(calibration.values)
-    changes = np.empty((*here.shape, root.shape[1]))
+    changes = np.empty((*here.shape, root.shape[1]), complex)
     for k, column in enumerate(root.T):
         steps = dict(zip(calibration.names, _STEP * column, strict=True))
         there = {name: value + steps.get(name, 0.0) for name, value in calibration.values.items()}

@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from overtone.contact import law
 from overtone.contact.models import ContactModel, models
-from overtone.contact.parameters import Parameter, effective_modulus
+from overtone.contact.parameters import Parameter
 from overtone.contact.terms import NO_ADHESION, adhesion_harmonics, power_harmonics
 from overtone.errors import InversionError
 from overtone.inversion.linear import Contact
@@ -145,7 +145,11 @@ def columns_of(record: ContactModel, probe: Probe, given: Mapping[str, float]) -
     viscous = rows[rows[:, 0] == law.VISCOUS]
     first = unknowns_of(record)[0].name
     if first == "modulus":
-        tip = (1.0 - float(values["tip_poisson_ratio"]) ** 2) / float(values["tip_modulus"]) if "tip_modulus" in values else 0.0
+        tip = (
+            (1.0 - float(values["tip_poisson_ratio"]) ** 2) / float(values["tip_modulus"])
+            if "tip_modulus" in values
+            else 0.0
+        )
         of_the_sample = 1.0 - float(values["poisson_ratio"]) ** 2
         E_star = 1.0 / (tip + of_the_sample / float(values["modulus"]))
     else:

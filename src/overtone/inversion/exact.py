@@ -1,11 +1,11 @@
 """Every solution of a pixel: separable least squares in the indentation alone.
 
-Given the indentation the harmonics are linear in the material (`overtone.inversion.valley`), so the only search is over
-``t = ln(Delta/(1 - Delta))``. Three conservative harmonics and two linear unknowns leave a determinant
-``y . (a x b)``, whose changes of sign are the solutions: no starting point, and none is missed that is wider than a step
-of the table. Any other set of harmonics has least squares, whose minima are. Where no sample could give the harmonics
-the closest one within bounds is reported as such. Out of contact the attraction alone is left, and the search is over the
-gap.
+Given the indentation the harmonics are linear in the material (`overtone.inversion.valley`), so the only search is
+over ``t = ln(Delta/(1 - Delta))``. Three conservative harmonics and two linear unknowns leave a determinant
+``y . (a x b)``, whose changes of sign are the solutions: no starting point, and none is missed that is wider than a
+step of the table. Any other set of harmonics has least squares, whose minima are. Where no sample could give the
+harmonics the closest one within bounds is reported as such. Out of contact the attraction alone is left, and the search
+is over the gap.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from overtone.inversion.valley import (
     new_scratch,
     physical,
     reduce,
+    set_places,
     solved,
     tabulated_columns,
     whiten,
@@ -46,6 +47,9 @@ AS_GOOD = 9.0
 OUTSIDE = -1
 """Count of a pixel whose amplitude has no place in the table."""
 
+PLACES = 5
+"""Places along t at which the difference that the harmonics of the motion make is found, for every solution."""
+
 _STRIDE = 2
 _POLISHED = 3e-5  # a step of Newton's method this short leaves its square
 _CLEARLY = 1e-3  # share of the forces by which adhesion may be negative before a root is polished
@@ -62,7 +66,16 @@ _APART_999 = 10.827566170662733
 
 @inner
 def _slope_row(
-    m: Reduced, S: float, F: float, c: float, orders: _Orders, lossy: _Flags, W: _Floats, by_t: float, s: Scratch, out: _Floats
+    m: Reduced,
+    S: float,
+    F: float,
+    c: float,
+    orders: _Orders,
+    lossy: _Flags,
+    W: _Floats,
+    by_t: float,
+    s: Scratch,
+    out: _Floats,
 ) -> None:
     """Fill the whitened derivative of the model by t; uses the rows a of the scratch."""
     for i in range(orders.shape[0]):
@@ -94,8 +107,7 @@ def polish(
     spread = math.inf
     m = Reduced(math.inf, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     for _ in range(steps):
-        Delta = 1.0 / (1.0 + math.exp(-t))
-        exact_columns(columns, amplitude, Delta, orders, lossy, W, s)
+        Delta = exact_columns(columns, amplitude, t, orders, lossy, W, s)
         m = reduce(s, sticky, lossy_model)
         F = m.F0 + m.F1 * m.S
         c = m.c0 + m.c1 * m.S + m.c2 * F
@@ -210,8 +222,20 @@ def _keep(solutions: _Floats, count: int, S: float, F: float, c: float, delta: f
 
 @inner
 def _root(
-    t: float, y: _Floats, amplitude: float, columns: Columns, table: Table, slot: int, share: float, scale: float,
-    orders: _Orders, W: _Floats, s: Scratch, solutions: _Floats, spreads: _Floats, count: int,
+    t: float,
+    y: _Floats,
+    amplitude: float,
+    columns: Columns,
+    table: Table,
+    slot: int,
+    share: float,
+    scale: float,
+    orders: _Orders,
+    W: _Floats,
+    s: Scratch,
+    solutions: _Floats,
+    spreads: _Floats,
+    count: int,
 ) -> int:
     """Add the solution next to t, where there is one that a sample can have; return how many there are.
 
@@ -275,11 +299,36 @@ def _root(
     return more
 
 
+@inlined
+def _left(y: _Floats, shifts: _Floats, lagrange: _Floats, k: int, out: _Floats) -> None:
+    """Fill what is left of three data at a node, less what the harmonics of the motion make there."""
+    for r in range(3):
+        out[r] = y[r]
+        for j in range(shifts.shape[0]):
+            out[r] -= lagrange[j, k] * shifts[j, r]
+
+
 @inner
 def _roots(
-    y: _Floats, amplitude: float, columns: Columns, table: Table, cross: _Floats, slot: int, share: float, scale: float,
-    orders: _Orders, W: _Floats, g: _Floats, marks: npt.NDArray[np.uint8], words: npt.NDArray[np.uint64], s: Scratch,
-    solutions: _Floats, spreads: _Floats,
+    y: _Floats,
+    amplitude: float,
+    columns: Columns,
+    table: Table,
+    cross: _Floats,
+    slot: int,
+    share: float,
+    scale: float,
+    orders: _Orders,
+    W: _Floats,
+    shifts: _Floats,
+    lagrange: _Floats,
+    g: _Floats,
+    marks: npt.NDArray[np.uint8],
+    words: npt.NDArray[np.uint64],
+    s: Scratch,
+    there: _Floats,
+    solutions: _Floats,
+    spreads: _Floats,
 ) -> int:
     """Fill every physical solution of three conservative harmonics; return how many."""
     low, high = cross[slot], cross[slot + 1]
@@ -287,8 +336,18 @@ def _roots(
     v0, v1, v2 = share * y[0], share * y[1], share * y[2]
     for k in range(NODES):
         g[k] = (
-            u0 * low[0, k] + u1 * low[1, k] + u2 * low[2, k] + v0 * high[0, k] + v1 * high[1, k] + v2 * high[2, k]
+            u0 * low[0, k]
+            + u1 * low[1, k]
+            + u2 * low[2, k]
+            + v0 * high[0, k]
+            + v1 * high[1, k]
+            + v2 * high[2, k]
         )
+    for j in range(shifts.shape[0]):
+        for r in range(3):
+            first, second = (1.0 - share) * shifts[j, r], share * shifts[j, r]
+            for k in range(NODES):
+                g[k] -= lagrange[j, k] * (first * low[r, k] + second * high[r, k])
     # where the determinant changes sign, or turns back short of zero: few nodes, found eight at a time
     for k in range(1, NODES - 1):
         before, here, after = g[k - 1], g[k], g[k + 1]
@@ -303,8 +362,22 @@ def _roots(
                 continue
             if (g[k] > 0.0) != (g[k + 1] > 0.0):
                 t = SHALLOWEST + STEP * (k + _between(g, k))
+                _left(y, shifts, lagrange, k, there)
                 count = _root(
-                    t, y, amplitude, columns, table, slot, share, scale, orders, W, s, solutions, spreads, count
+                    t,
+                    there,
+                    amplitude,
+                    columns,
+                    table,
+                    slot,
+                    share,
+                    scale,
+                    orders,
+                    W,
+                    s,
+                    solutions,
+                    spreads,
+                    count,
                 )
                 continue
             # a parabola through three nodes says whether it dips through zero between them, or nearly
@@ -318,16 +391,40 @@ def _roots(
             apart_ = math.sqrt(abs(2.0 * lowest / bend)) + 1e-3
             for way in (-1.0, 1.0):
                 t = SHALLOWEST + STEP * (k - tilt / bend + way * apart_)
+                _left(y, shifts, lagrange, k, there)
                 count = _root(
-                    t, y, amplitude, columns, table, slot, share, scale, orders, W, s, solutions, spreads, count
+                    t,
+                    there,
+                    amplitude,
+                    columns,
+                    table,
+                    slot,
+                    share,
+                    scale,
+                    orders,
+                    W,
+                    s,
+                    solutions,
+                    spreads,
+                    count,
                 )
     return count
 
 
 @inner
 def _bounded_tabulated(
-    table: Table, slot: int, share: float, scale: float, t: float, orders: _Orders, lossy: _Flags, W: _Floats,
-    sticky: bool, loss: bool, box: Box, s: Scratch,
+    table: Table,
+    slot: int,
+    share: float,
+    scale: float,
+    t: float,
+    orders: _Orders,
+    lossy: _Flags,
+    W: _Floats,
+    sticky: bool,
+    loss: bool,
+    box: Box,
+    s: Scratch,
 ) -> float:
     """Return the least chi-squared within bounds at t, by the table."""
     tabulated_columns(table, slot, share, scale, t, orders, lossy, W, s)
@@ -336,8 +433,20 @@ def _bounded_tabulated(
 
 @inner
 def lowest_between(
-    table: Table, slot: int, share: float, scale: float, low: float, high: float, width: float, orders: _Orders,
-    lossy: _Flags, W: _Floats, sticky: bool, loss: bool, box: Box, s: Scratch,
+    table: Table,
+    slot: int,
+    share: float,
+    scale: float,
+    low: float,
+    high: float,
+    width: float,
+    orders: _Orders,
+    lossy: _Flags,
+    W: _Floats,
+    sticky: bool,
+    loss: bool,
+    box: Box,
+    s: Scratch,
 ) -> tuple[float, float]:
     """Return where the least chi-squared within bounds is smallest between two t, by golden section, and its size.
 
@@ -361,8 +470,19 @@ def lowest_between(
 
 @inner
 def scan_valley(
-    table: Table, slot: int, share: float, scale: float, orders: _Orders, lossy: _Flags, W: _Floats, sticky: bool,
-    loss: bool, box: Box, s: Scratch, stride: int, bounded: _Floats,
+    table: Table,
+    slot: int,
+    share: float,
+    scale: float,
+    orders: _Orders,
+    lossy: _Flags,
+    W: _Floats,
+    sticky: bool,
+    loss: bool,
+    box: Box,
+    s: Scratch,
+    stride: int,
+    bounded: _Floats,
 ) -> int:
     """Fill the least chi-squared within bounds at every ``stride`` nodes of the table; return where it is least."""
     least = 0
@@ -376,9 +496,23 @@ def scan_valley(
 
 @inner
 def _least_squares(
-    amplitude: float, columns: Columns, table: Table, slot: int, share: float, scale: float, orders: _Orders,
-    lossy: _Flags, W: _Floats, box: Box, only_bounded: bool, bounded: _Floats, s: Scratch,
-    slope: _Floats, solutions: _Floats, spreads: _Floats, best: _Floats,
+    amplitude: float,
+    columns: Columns,
+    table: Table,
+    slot: int,
+    share: float,
+    scale: float,
+    orders: _Orders,
+    lossy: _Flags,
+    W: _Floats,
+    box: Box,
+    only_bounded: bool,
+    bounded: _Floats,
+    s: Scratch,
+    slope: _Floats,
+    solutions: _Floats,
+    spreads: _Floats,
+    best: _Floats,
 ) -> tuple[int, float, float]:
     """Fill minima of chi-squared that a sample can have, and the least one within bounds.
 
@@ -403,7 +537,12 @@ def _least_squares(
             if physical(m):
                 F = m.F0 + m.F1 * m.S
                 more = _keep(
-                    solutions, count, m.S, F, m.c0 + m.c1 * m.S + m.c2 * F, 2.0 * amplitude / (1.0 + math.exp(-t))
+                    solutions,
+                    count,
+                    m.S,
+                    F,
+                    m.c0 + m.c1 * m.S + m.c2 * F,
+                    2.0 * amplitude / (1.0 + math.exp(-t)),
                 )
                 if more > count:
                     spreads[count], chi2[count] = spread, m.rest
@@ -424,7 +563,9 @@ def _least_squares(
             return count, lowest, spreads[count - 1]
     low = SHALLOWEST + STEP * _STRIDE * max(least - 1, 0)
     high = min(SHALLOWEST + STEP * _STRIDE * (least + 1), DEEPEST)
-    near, _ = lowest_between(table, slot, share, scale, low, high, 1e-5, orders, lossy, W, sticky, loss, box, s)
+    near, _ = lowest_between(
+        table, slot, share, scale, low, high, 1e-5, orders, lossy, W, sticky, loss, box, s
+    )
     _, _, spread = polish(columns, amplitude, near, near, near, orders, lossy, W, sticky, 1, s, slope)
     chi2_least = _bounded_at(columns, amplitude, near, orders, lossy, W, sticky, loss, box, s, best)
     return count, chi2_least, spread
@@ -432,12 +573,20 @@ def _least_squares(
 
 @inner
 def _bounded_at(
-    columns: Columns, amplitude: float, t: float, orders: _Orders, lossy: _Flags, W: _Floats, sticky: bool, loss: bool,
-    box: Box, s: Scratch, out: _Floats,
+    columns: Columns,
+    amplitude: float,
+    t: float,
+    orders: _Orders,
+    lossy: _Flags,
+    W: _Floats,
+    sticky: bool,
+    loss: bool,
+    box: Box,
+    s: Scratch,
+    out: _Floats,
 ) -> float:
     """Return the least chi-squared within bounds at t, and fill the solution there."""
-    Delta = 1.0 / (1.0 + math.exp(-t))
-    exact_columns(columns, amplitude, Delta, orders, lossy, W, s)
+    Delta = exact_columns(columns, amplitude, t, orders, lossy, W, s)
     chi2, m, S = solved(reduce(s, sticky, loss), s, sticky, box)
     F = best_F(m, S, box)
     out[S_], out[F_], out[DELTA_] = S, F, 2.0 * amplitude * Delta
@@ -452,7 +601,9 @@ def apart(
     """Return chi-squared, the force of adhesion and the norm of its column where the tip stays a gap away."""
     contact = columns.contact
     n_max = s.work.shape[1] - 1
-    adhesion_harmonics(contact.tail, amplitude, -0.5 * gap / amplitude, contact.a0, n_max, s.work[2], s.work[3])
+    adhesion_harmonics(
+        contact.tail, amplitude, -0.5 * gap / amplitude, contact.a0, n_max, s.work[2], s.work[3]
+    )
     for i in range(orders.shape[0]):
         s.b[i] = 0.0 if lossy[i] else s.work[2, orders[i]]
     whiten(W, s.b, s.wb)
@@ -471,14 +622,18 @@ def apart(
 def has_reach(columns: Columns) -> bool:
     """Return whether the attraction is felt out of contact."""
     tail = columns.contact.tail
-    return bool(tail == LINEAR_TAIL or tail == VAN_DER_WAALS_TAIL)
+    return bool(tail in (LINEAR_TAIL, VAN_DER_WAALS_TAIL))
 
 
 @inner
 def gap_range(columns: Columns, amplitude: float) -> tuple[float, float]:
     """Return the logarithms of the smallest and the largest gap that are searched out of contact."""
     a0 = columns.contact.a0
-    most = 2.0 * a0 * (1.0 - 1e-9) if columns.contact.tail == LINEAR_TAIL else min(_FARTHEST * a0, 2.0 * amplitude)
+    most = (
+        2.0 * a0 * (1.0 - 1e-9)
+        if columns.contact.tail == LINEAR_TAIL
+        else min(_FARTHEST * a0, 2.0 * amplitude)
+    )
     return math.log(_CLOSEST * a0), math.log(most)
 
 
@@ -512,6 +667,24 @@ def closest_apart(
     return gap, F, chi2
 
 
+@inner
+def _fill_lagrange(s: Scratch, lagrange: _Floats) -> None:
+    """Fill the polynomials through the places, each 1 at one of them, at the nodes of the table (place, node)."""
+    count = s.places.shape[0]
+    for k in range(NODES):
+        t = min(max(SHALLOWEST + STEP * k, s.places[0]), s.places[count - 1])
+        total, at = 0.0, -1
+        for j in range(count):
+            off = t - s.places[j]
+            if off == 0.0:
+                at = j
+                off = 1.0
+            lagrange[j, k] = s.poles[j] / off
+            total += lagrange[j, k]
+        for j in range(count):
+            lagrange[j, k] = lagrange[j, k] / total if at < 0 else (1.0 if j == at else 0.0)
+
+
 @kernel
 def solve_pixels(
     y: _Floats,
@@ -525,6 +698,8 @@ def solve_pixels(
     lossy: _Flags,
     attraction: npt.NDArray[np.int64],
     box: Box,
+    spans: _Floats,
+    shifts: _Floats,
     solutions: _Floats,
     spreads: _Floats,
     best: _Floats,
@@ -549,6 +724,8 @@ def solve_pixels(
         Row of CONS_1, whose sign says whether a search out of contact makes sense; -1 without.
     box : Box
         Bounds of the fallback where no sample could give the harmonics.
+    spans, shifts : array (pixel, 2), (pixel, place, row)
+        What the harmonics of the motion add to the force [N], at places between two t; for a bare cosine at none.
     solutions : array (pixel, MOST, 4)
         Filled: S, F_ad, S tan(delta), indentation; the one out of contact first, the deepest last; NaN beyond.
     spreads : array (pixel, MOST)
@@ -562,7 +739,10 @@ def solve_pixels(
     """
     rows = orders.shape[0]
     n_max = table.elastic.shape[2] - 1
-    s = new_scratch(rows, n_max)
+    places = shifts.shape[1]
+    s = new_scratch(rows, n_max, places)
+    lagrange = np.empty((places, NODES))
+    there = np.empty(3)
     slope, g = np.empty(rows), np.empty(NODES)
     marks = np.zeros(8 * ((NODES + 7) // 8), np.uint8)
     words = marks.view(np.uint64)
@@ -581,25 +761,64 @@ def solve_pixels(
             continue
         W = whitening[min(i, whitening.shape[0] - 1)]
         scale = A**table.power
-        whiten(W, y[i], s.wy)
+        whiten(W, y[i], s.first)
+        for j in range(places):
+            whiten(W, shifts[i, j], s.shifts[j])
+        if places > 0:
+            set_places(s, spans[i, 0], spans[i, 1])
+            if square:
+                _fill_lagrange(s, lagrange)
         found = 0
         if square:
             found = _roots(
-                y[i], A, columns, table, cross, slot, share, scale, orders, W, g, marks, words, s, solutions[i], spreads[i]
+                y[i],
+                A,
+                columns,
+                table,
+                cross,
+                slot,
+                share,
+                scale,
+                orders,
+                W,
+                shifts[i],
+                lagrange,
+                g,
+                marks,
+                words,
+                s,
+                there,
+                solutions[i],
+                spreads[i],
             )
             chi2[i] = 0.0
         spread = math.inf
         if not square or found == 0:
             found, chi2[i], spread = _least_squares(
-                A, columns, table, slot, share, scale, orders, lossy, W, box, square, bounded, s, slope,
-                solutions[i], spreads[i], best[i],
+                A,
+                columns,
+                table,
+                slot,
+                share,
+                scale,
+                orders,
+                lossy,
+                W,
+                box,
+                square,
+                bounded,
+                s,
+                slope,
+                solutions[i],
+                spreads[i],
+                best[i],
             )
         if found > 0:
             best[i] = solutions[i, found - 1]
             if not square:
                 left = 0.0
                 Delta = 0.5 * best[i, DELTA_] / A
-                exact_columns(columns, A, Delta, orders, lossy, W, s)
+                exact_columns(columns, A, math.log(Delta / (1.0 - Delta)), orders, lossy, W, s)
                 for r in range(rows):
                     off = s.wy[r] - best[i, S_] * s.wa[r] - best[i, F_] * s.wb[r] - best[i, C_] * s.wv[r]
                     left += off * off
@@ -607,6 +826,8 @@ def solve_pixels(
         else:
             spreads[i, 0] = spread
         if attraction[0] >= 0 and y[i, attraction[0]] > 0.0 and has_reach(columns):
+            for r in range(rows):
+                s.wy[r] = s.first[r]
             gap, F, misfit = closest_apart(A, columns, orders, lossy, W, s)
             limit = _APART_999 + rows - 2.0
             if F > 0.0 and misfit <= limit and found < MOST:

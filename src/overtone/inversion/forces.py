@@ -218,7 +218,9 @@ def row_block(
         if not usable[i]:
             continue
         for r in range(count):
-            C[r, r] += _LEAST_SHARE * trace + (_LEAST_FORCE * y[i, r]) ** 2 + (1e-3 * _LEAST_FORCE * size) ** 2
+            C[r, r] += (
+                _LEAST_SHARE * trace + (_LEAST_FORCE * y[i, r]) ** 2 + (1e-3 * _LEAST_FORCE * size) ** 2
+            )
             for q in range(r + 1):
                 total = C[r, q]
                 for k in range(q):

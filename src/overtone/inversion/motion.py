@@ -1,40 +1,62 @@
 """From the motion that the tip makes to the bare cosine that the closed forms know.
 
-The tip also moves in its higher harmonics, which bends the turning point under which it touches: forces on a bare cosine
-of the same amplitude and indentation are 0.4 to 4.5 % too large, moduli 1 to 6 % (Shaik, Reifenberger and Raman 2020,
-eq 10). Of those harmonics the measured ones are known and the others follow from the force itself. So the difference
-that they make at a solution is taken off the data, and the solution found again, until neither moves: each pass leaves a
-few per cent of the one before, because the difference hardly changes along the valley in which a solution moves.
+The tip also moves in its higher harmonics, which bends the turning point under which it touches: forces on a bare
+cosine of the same amplitude and indentation are 0.4 to 4.5 % too large, moduli 1 to 6 % (Shaik, Reifenberger and Raman
+2020, eq 10). Of those harmonics the measured ones are known and the others follow from the force itself. So the
+difference that they make at a solution is taken off the data, and the solution found again, until neither moves: each
+pass leaves a few per cent of the one before, because the difference hardly changes along the valley in which a solution
+moves. Where a soft lever meets a stiff sample the passes may come to no rest; such a solution is dropped.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from overtone.contact.terms import LINEAR_TAIL, NO_ADHESION, VAN_DER_WAALS_TAIL, tail_shape
 from overtone.dynamics.balance import Motion, bottom, gap_at
+from overtone.harmonics import tip_receptance
 from overtone.inversion.columns import Columns, adhesive, fill_columns
-from overtone.inversion.exact import C_, DELTA_, F_, S_, closest_apart, polish
-from overtone.inversion.table import DEEPEST, SHALLOWEST
-from overtone.inversion.valley import new_scratch, physical, whiten
+from overtone.inversion.exact import C_, DELTA_, F_, S_, closest_apart, polish, scan_valley
+from overtone.inversion.table import DEEPEST, NODES, SHALLOWEST, STEP, Table, locate
+from overtone.inversion.valley import (
+    Box,
+    Scratch,
+    best_F,
+    new_scratch,
+    physical,
+    reduce,
+    set_places,
+    solved,
+    tabulated_columns,
+    whiten,
+)
 from overtone.kernels import inlined, inner, kernel
+from overtone.probe import Probe
 
 _Floats = npt.NDArray[np.float64]
 _Complex = npt.NDArray[np.complex128]
 
-HARMONICS = 10
-"""Harmonics of the motion that are followed."""
-COARSE, FINE = 12, 24
-"""Nodes of a piece of the motion: forces to 1e-6, and to 1e-9."""
+FEW, MANY = 10, 20
+"""Harmonics of the motion that are followed, along the valley and at a solution."""
+COARSE, FINE = 12, 16
+"""Nodes of a piece of the motion, with few harmonics and with many: forces to 1e-6, and to 1e-7."""
 _RULES = {n: np.polynomial.legendre.leggauss(n) for n in (COARSE, FINE)}
-_STILL = 1e-9  # relative change of a solution from one pass to the next
-_FIRM = 0.5  # share of a step where steps grow
+_STILL = 1e-9  # last step of t
+_NEARLY_STILL = 1e-4
+_SETTLING = 30
+_STEADY = 2  # times that the material is found again at the first t
+_FARTHEST = 3.0  # of all steps of t together
+_APART_PASSES = 3
+_STRIDE = 3
+_SHALLOW = 8  # node of that stride below which no place is: a contact so short that nothing changes any more
+_NEAR = 0.1  # of the largest row, by which the model may miss the data where places are
 
 
-def rule(nodes: int) -> _Floats:
+def _rule(nodes: int) -> _Floats:
     """Return nodes and weights of a quadrature over 0..1, as an array (2, node)."""
     x, w = _RULES[nodes]
     return np.array([0.5 * (1.0 + x), 0.5 * w])
@@ -42,8 +64,16 @@ def rule(nodes: int) -> _Floats:
 
 @inlined
 def _add(
-    theta: float, weight: float, motion: Motion, columns: Columns, S: float, F: float, damping: float, omega: float,
-    inside: bool, f: _Complex,
+    theta: float,
+    weight: float,
+    motion: Motion,
+    columns: Columns,
+    S: float,
+    F: float,
+    damping: float,
+    omega: float,
+    inside: bool,
+    f: _Complex,
 ) -> None:
     """Add the force at a phase to its harmonics."""
     turn = complex(math.cos(theta), math.sin(theta))
@@ -82,7 +112,7 @@ def _add(
 
 @inner
 def _where(level: float, inside: float, outside: float, motion: Motion) -> float:
-    """Return the phase between ``inside`` and ``outside`` where the gap meets a level; ``outside`` where it does not."""
+    """Return the phase between two others where the gap meets a level; ``outside`` where it does not."""
     if gap_at(outside, motion)[0] <= level:
         return outside
     low, high, x = inside, outside, 0.5 * (inside + outside)
@@ -109,7 +139,14 @@ def _where(level: float, inside: float, outside: float, motion: Motion) -> float
 
 @inner
 def force_harmonics_on(
-    motion: Motion, columns: Columns, S: float, F: float, damping: float, omega: float, nodes: _Floats, f: _Complex
+    motion: Motion,
+    columns: Columns,
+    S: float,
+    F: float,
+    damping: float,
+    omega: float,
+    nodes: _Floats,
+    f: _Complex,
 ) -> None:
     """Fill the harmonics of the force on a motion: pieces from the turning point outwards, graded where it decays."""
     f[:] = 0.0
@@ -127,8 +164,16 @@ def force_harmonics_on(
             for j in range(count):
                 s = nodes[0, j]
                 _add(
-                    edge - span * s * s, 2.0 * abs(span) * s * nodes[1, j], motion, columns, S, F, damping, omega,
-                    True, f,
+                    edge - span * s * s,
+                    2.0 * abs(span) * s * nodes[1, j],
+                    motion,
+                    columns,
+                    S,
+                    F,
+                    damping,
+                    omega,
+                    True,
+                    f,
                 )
             start = edge
         if start == far or (contact.tail != LINEAR_TAIL and contact.tail != VAN_DER_WAALS_TAIL):
@@ -147,8 +192,16 @@ def force_harmonics_on(
                 grown = math.exp(length * nodes[0, j])
                 x = width * (grown - 1.0)
                 _add(
-                    start + side * x, length * width * grown * nodes[1, j], motion, columns, S, F, damping, omega,
-                    False, f,
+                    start + side * x,
+                    length * width * grown * nodes[1, j],
+                    motion,
+                    columns,
+                    S,
+                    F,
+                    damping,
+                    omega,
+                    False,
+                    f,
                 )
         else:
             # the gap grows as a parabola from the turning point
@@ -157,20 +210,29 @@ def force_harmonics_on(
             for j in range(count):
                 v = length * nodes[0, j]
                 _add(
-                    start + side * width * math.sinh(v), length * width * math.cosh(v) * nodes[1, j], motion, columns,
-                    S, F, damping, omega, False, f,
+                    start + side * width * math.sinh(v),
+                    length * width * math.cosh(v) * nodes[1, j],
+                    motion,
+                    columns,
+                    S,
+                    F,
+                    damping,
+                    omega,
+                    False,
+                    f,
                 )
 
 
 @inner
 def _difference(
-    A: float, x: _Floats, columns: Columns, tip: _Complex, omega: float, known: npt.NDArray[np.int64], f_known: _Complex,
-    nodes: _Floats, b: _Complex, f: _Complex, work: _Floats,
+    A: float, x: _Floats, columns: Columns, followed: Followed, f_known: _Complex, room: Room
 ) -> None:
-    """Fill f with what the harmonics of the motion add to those of the force at a solution, and renew b.
+    """Fill f of the room with what the harmonics of the motion add to those of the force at a solution, and renew b.
 
     b holds the harmonics of the motion of the pass before; those that were measured stay.
     """
+    tip, omega, known, nodes = followed
+    b, f, work, _ = room
     orders = b.shape[0]
     S = x[S_] if x[DELTA_] > 0.0 else 0.0
     c = x[C_] if x[DELTA_] > 0.0 else 0.0
@@ -195,106 +257,286 @@ def _difference(
         f[n] -= complex(S * work[0, n] + x[F_] * work[2, n], n * c * work[0, n])
 
 
-@kernel
-def to_bare_cosine(
-    y: _Floats,
-    whitening: _Floats,
-    amplitude: _Floats,
-    solution: _Floats,
+class Followed(NamedTuple):
+    """What following the motion takes."""
+
+    tip: _Complex
+    """(n,): answer of the tip at harmonics 0, 1, ... [m/N]; empty for a bare cosine."""
+    omega: float
+    """Angular drive frequency [rad/s]."""
+    known: npt.NDArray[np.int64]
+    """(harmonic,): orders that were measured."""
+    nodes: _Floats
+    """(2, node): nodes and weights of a piece, over 0..1."""
+
+
+class Room(NamedTuple):
+    """Scratch for the harmonics of motion and force."""
+
+    b: _Complex
+    f: _Complex
+    work: _Floats
+    x: _Floats
+
+
+@inner
+def new_room(followed: Followed) -> Room:
+    """Return scratch for one thread."""
+    size = followed.tip.shape[0]
+    return Room(
+        np.zeros(size, np.complex128), np.zeros(size, np.complex128), np.zeros((6, size)), np.zeros(4)
+    )
+
+
+@inner
+def difference_at(
+    t: float,
+    A: float,
+    table: Table,
+    slot: int,
+    share: float,
+    scale: float,
     columns: Columns,
+    followed: Followed,
+    f_known: _Complex,
     orders: npt.NDArray[np.int64],
     lossy: npt.NDArray[np.bool_],
-    attraction: npt.NDArray[np.int64],
-    tip: _Complex,
-    omega: float,
-    known: npt.NDArray[np.int64],
-    f_known: _Complex,
-    nodes: _Floats,
-    passes: int,
-    bare: _Floats,
-    spread: _Floats,
+    W: _Floats,
+    sticky: bool,
+    box: Box,
+    s: Scratch,
+    room: Room,
+    out: _Floats,
 ) -> None:
-    """Move solutions from the bare cosine to the motion that the tip makes.
+    """Fill what the harmonics of the motion add to the rows at t, for the material that fits best there.
+
+    ``out`` holds what they add nearby; zeros where that is not known.
+    """
+    loss = columns.loss > 0.0
+    Delta = tabulated_columns(table, slot, share, scale, t, orders, lossy, W, s)
+    rows = orders.shape[0]
+    whiten(W, out, s.a)
+    for r in range(rows):
+        s.wy[r] = s.first[r] - s.a[r]
+    _, m, S = solved(reduce(s, sticky, loss), s, sticky, box)
+    x = room.x
+    F = best_F(m, S, box)
+    x[S_], x[F_], x[C_], x[DELTA_] = S, F, max(m.c0 + m.c1 * S + m.c2 * F, 0.0), 2.0 * A * Delta
+    _difference(A, x, columns, followed, f_known, room)
+    for r in range(orders.shape[0]):
+        off = -room.f[orders[r]].imag if lossy[r] else room.f[orders[r]].real
+        out[r] = off if math.isfinite(off) else 0.0
+
+
+def follow(probe: Probe, known: tuple[int, ...], harmonics: int) -> Followed:
+    """Return what it takes to follow the motion of a probe; with 0 harmonics it is a bare cosine.
 
     Parameters
     ----------
-    y, whitening : array (pixel, row), (pixel or 1, row, row)
-        Force harmonics [N] and what whitens their errors.
-    amplitude : array (pixel,)
-        Of the tip [m].
-    solution : array (pixel, 4)
-        Solutions of the bare cosine, as `overtone.inversion.exact` has them; replaced. NaN where there is none.
-    columns : Columns
-        The model.
-    orders, lossy, attraction
-        As there.
-    tip : array (n,)
-        Answer of the tip at harmonics 0, 1, ... [m/N].
-    omega : float
-        Angular drive frequency [rad/s].
-    known : array (harmonic,)
-        Harmonics that were measured, and
-    f_known : array (pixel, harmonic)
-        their force, complex [N].
-    nodes : array (2, node)
-        `rule`.
-    passes : int
-        At most so many.
-    bare : array (pixel, row)
-        Filled: the data that a bare cosine would have given [N].
-    spread : array (pixel,)
-        Replaced: standard deviation of S, where the solution moved.
+    probe : Probe
+        Any number of modes.
+    known : tuple of int
+        Harmonics above the first that were measured.
+    harmonics : int
+        `FEW`, `MANY` or 0.
     """
-    size = tip.shape[0]
-    b, f = np.zeros(size, np.complex128), np.zeros(size, np.complex128)
-    work = np.empty((6, size))
+    frequency = probe.drive.frequency
+    tip = (
+        tip_receptance(probe.cantilever, np.arange(harmonics + 1) * frequency)
+        if harmonics
+        else np.empty(0, complex)
+    )
+    return Followed(
+        tip, 2.0 * math.pi * frequency, np.array(known, np.int64), _rule(FINE if harmonics > FEW else COARSE)
+    )
+
+
+@kernel
+def differences(
+    y: _Floats,
+    whitening: _Floats,
+    amplitude: _Floats,
+    usable: npt.NDArray[np.bool_],
+    columns: Columns,
+    table: Table,
+    orders: npt.NDArray[np.int64],
+    lossy: npt.NDArray[np.bool_],
+    box: Box,
+    followed: Followed,
+    f_known: _Complex,
+    spans: _Floats,
+    shifts: _Floats,
+) -> None:
+    """Fill what the harmonics of the motion add to the rows of every pixel, at places along the valley.
+
+    Parameters
+    ----------
+    y, whitening, amplitude, usable, columns, table, orders, lossy, box
+        As `overtone.inversion.exact.solve_pixels` has them.
+    followed : Followed
+        The lever.
+    f_known : array (pixel, harmonic)
+        Forces of the harmonics that were measured, complex [N].
+    spans : array (pixel, 2)
+        Filled: stretch of t between which the places are.
+    shifts : array (pixel, place, row)
+        Filled [N].
+    """
+    rows = orders.shape[0]
+    s, room = new_scratch(rows, table.elastic.shape[2] - 1, 0), new_room(followed)
+    grid = new_scratch(rows, 0, shifts.shape[1])
+    sticky = adhesive(columns)
+    out, roughly = np.zeros(rows), np.zeros((rows, rows))
+    nodes = (NODES - 1) // _STRIDE + 1
+    bounded = np.empty(nodes)
+    for i in range(y.shape[0]):
+        shifts[i], spans[i, 0], spans[i, 1] = 0.0, 0.0, 1.0
+        slot, share = locate(table, amplitude[i])
+        if not usable[i] or slot < 0:
+            continue
+        scale = amplitude[i] ** table.power
+        # where the model comes near the data at all: elsewhere its motion says nothing of theirs
+        size = 0.0
+        for r in range(rows):
+            size = max(size, abs(y[i, r]))
+        for r in range(rows):
+            roughly[r, r] = 1.0 / (_NEAR * size)
+        whiten(roughly, y[i], s.first)
+        least = scan_valley(
+            table,
+            slot,
+            share,
+            scale,
+            orders,
+            lossy,
+            roughly,
+            sticky,
+            columns.loss > 0.0,
+            box,
+            s,
+            _STRIDE,
+            bounded,
+        )
+        low, high = nodes, 0
+        for k in range(nodes):
+            if bounded[k] < 1.0 + bounded[least]:
+                low, high = min(low, k), max(high, k)
+        spans[i, 0] = SHALLOWEST + STEP * _STRIDE * max(low - 1, _SHALLOW)
+        spans[i, 1] = SHALLOWEST + STEP * _STRIDE * max(min(high + 1, nodes - 1), _SHALLOW + 2)
+        set_places(grid, spans[i, 0], spans[i, 1])
+        W = whitening[min(i, whitening.shape[0] - 1)]
+        whiten(W, y[i], s.first)
+        out[:] = 0.0
+        for j in range(shifts.shape[1]):
+            room.b[:] = 0.0
+            difference_at(
+                grid.places[j],
+                amplitude[i],
+                table,
+                slot,
+                share,
+                scale,
+                columns,
+                followed,
+                f_known[i],
+                orders,
+                lossy,
+                W,
+                sticky,
+                box,
+                s,
+                room,
+                out,
+            )
+            for r in range(rows):
+                shifts[i, j, r] = out[r]
+
+
+@kernel
+def settle(
+    y: _Floats,
+    whitening: _Floats,
+    amplitude: _Floats,
+    columns: Columns,
+    orders: npt.NDArray[np.int64],
+    lossy: npt.NDArray[np.bool_],
+    followed: Followed,
+    f_known: _Complex,
+    solution: _Floats,
+    spread: _Floats,
+) -> None:
+    """Move solutions to where they agree with the motion that the tip makes; NaN where they come to no rest.
+
+    Parameters
+    ----------
+    y, whitening, amplitude, columns, orders, lossy, followed, f_known
+        As in `differences`.
+    solution : array (pixel, 4)
+        As `overtone.inversion.exact` has them; replaced. NaN where there is none.
+    spread : array (pixel,)
+        Standard deviation of S; replaced.
+    """
     rows = orders.shape[0]
     n_max = 0
     for r in range(rows):
         n_max = max(n_max, orders[r])
-    s = new_scratch(rows, n_max)
-    slope = np.empty(rows)
+    s, room = new_scratch(rows, n_max, 0), new_room(followed)
+    slope, left = np.empty(rows), np.empty(rows)
     sticky = adhesive(columns)
     for i in range(y.shape[0]):
-        for r in range(rows):
-            bare[i, r] = y[i, r]
         x = solution[i]
-        if not math.isfinite(x[DELTA_]) or not abs(x[DELTA_]) < 1.9 * amplitude[i]:
-            continue
         A, W = amplitude[i], whitening[min(i, whitening.shape[0] - 1)]
-        b[:] = 0.0
-        before = math.inf
-        for _ in range(passes):
-            _difference(A, x, columns, tip, omega, known, f_known[i], nodes, b, f, work)
-            finite = True
-            for r in range(rows):
-                off = -f[orders[r]].imag if lossy[r] else f[orders[r]].real
-                finite = finite and math.isfinite(off)
-                bare[i, r] = y[i, r] - off
-            if not finite:
-                for r in range(rows):
-                    bare[i, r] = y[i, r]
-                break
-            whiten(W, bare[i], s.wy)
-            if x[DELTA_] < 0.0:
-                gap, F, _ = closest_apart(A, columns, orders, lossy, W, s)
-                moved = abs(gap + x[DELTA_]) / gap
-                x[F_], x[DELTA_] = F, -gap
-            else:
-                Delta = 0.5 * x[DELTA_] / A
-                t = math.log(Delta / (1.0 - Delta))
-                there, m, sigma = polish(
-                    columns, A, t, max(t - 1.0, SHALLOWEST), min(t + 1.0, DEEPEST), orders, lossy, W, sticky, 6, s, slope
+        if not math.isfinite(x[DELTA_]):
+            continue
+        room.b[:] = 0.0
+        if x[DELTA_] < 0.0:
+            for _ in range(_APART_PASSES):
+                _rows_left(A, x, y[i], columns, followed, f_known[i], orders, lossy, room, left)
+                whiten(W, left, s.wy)
+                x[DELTA_], x[F_], _ = closest_apart(A, columns, orders, lossy, W, s)
+                x[DELTA_] = -x[DELTA_]
+            continue
+        Delta = 0.5 * x[DELTA_] / A
+        t = math.log(Delta / (1.0 - Delta))
+        start, before, share, rest = t, math.inf, 1.0, math.inf
+        for k in range(_SETTLING):
+            x[DELTA_] = 2.0 * A / (1.0 + math.exp(-t))
+            for _ in range(_STEADY if k == 0 else 1):
+                _rows_left(A, x, y[i], columns, followed, f_known[i], orders, lossy, room, left)
+                whiten(W, left, s.first)
+                there, m, spread[i] = polish(
+                    columns, A, t, SHALLOWEST, DEEPEST, orders, lossy, W, sticky, 1, s, slope
                 )
-                if not physical(m):
-                    break  # held by a bound: the difference is known well enough where it stands
-                moved = abs(there - t)
-                share = _FIRM if moved > before else 1.0
-                there = t + share * (there - t)
                 F = m.F0 + m.F1 * m.S
                 x[S_], x[F_], x[C_] = m.S, F, m.c0 + m.c1 * m.S + m.c2 * F
-                x[DELTA_] = 2.0 * A / (1.0 + math.exp(-there))
-                spread[i] = sigma
-            if moved < _STILL:
+            step = there - t
+            rest = abs(step)
+            if rest < _STILL or not math.isfinite(step):
                 break
-            before = moved
+            t = min(max(t + share * step, SHALLOWEST), DEEPEST)
+            if rest > 0.7 * before:
+                share = max(0.5 * share, 0.1)
+            before = rest
+        if not (rest < _NEARLY_STILL and physical(m)) or abs(t - start) > _FARTHEST:
+            x[:] = math.nan
+            spread[i] = math.nan
+
+
+@inner
+def _rows_left(
+    A: float,
+    x: _Floats,
+    y: _Floats,
+    columns: Columns,
+    followed: Followed,
+    f_known: _Complex,
+    orders: npt.NDArray[np.int64],
+    lossy: npt.NDArray[np.bool_],
+    room: Room,
+    left: _Floats,
+) -> None:
+    """Fill the data less what the harmonics of the motion add at a solution."""
+    _difference(A, x, columns, followed, f_known, room)
+    for r in range(orders.shape[0]):
+        off = -room.f[orders[r]].imag if lossy[r] else room.f[orders[r]].real
+        left[r] = y[r] - off

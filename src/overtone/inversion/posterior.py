@@ -2,8 +2,8 @@
 
 With Gaussian errors the force of adhesion and the loss integrate out in closed form at each indentation and modulus,
 within their bounds; the two that are left are summed over a grid that follows the valley of the misfit, wherever it
-bends. What comes out are marginal distributions, as medians and 90 % intervals, and the evidence: the probability of the
-data under the model and the priors. Out of contact the attraction alone is left, and the sum is over the gap.
+bends. What comes out are marginal distributions, as medians and 90 % intervals, and the evidence: the probability of
+the data under the model and the priors. Out of contact the attraction alone is left, and the sum is over the gap.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import numpy.typing as npt
 from overtone.inversion.columns import Columns, adhesive
 from overtone.inversion.exact import apart, gap_range, has_reach, lowest_between, scan_valley
 from overtone.inversion.linear import sample_modulus, stiffness
+from overtone.inversion.motion import Followed, difference_at, new_room
 from overtone.inversion.table import DEEPEST, NODES, SHALLOWEST, STEP, Table, locate
 from overtone.inversion.valley import (
     Box,
@@ -26,6 +27,7 @@ from overtone.inversion.valley import (
     edge_of_S,
     new_scratch,
     reduce,
+    set_places,
     solved,
     tabulated_columns,
     whiten,
@@ -33,6 +35,7 @@ from overtone.inversion.valley import (
 from overtone.kernels import inlined, inner, kernel
 
 _Floats = npt.NDArray[np.float64]
+_Complex = npt.NDArray[np.complex128]
 
 QUANTITIES = 5
 MODULUS_, ADHESION_, INDENTATION_, LOSS_, TANGENT_ = 0, 1, 2, 3, 4
@@ -40,7 +43,7 @@ MODULUS_, ADHESION_, INDENTATION_, LOSS_, TANGENT_ = 0, 1, 2, 3, 4
 LEVELS = np.array([0.05, 0.5, 0.95])
 SUMMARIES = 5
 MEAN_, SPREAD_, EVIDENCE_, CONTACT_, MISFIT_ = 0, 1, 2, 3, 4
-"""Summaries of an answer: mean and standard deviation of ln of the first unknown, ln Z, probability of contact, chi2."""
+"""Summaries of an answer: mean and spread of ln of the first unknown, ln Z, probability of contact, chi-squared."""
 
 _STRIDE = 4  # of the table, in the first look at the valley
 _REACH = 20.0  # of chi-squared beyond its least, where the sum over the indentation ends
@@ -54,6 +57,8 @@ _BINS = 160
 _GAP_NODES = 61
 _NEGLIGIBLE = 1e-6
 _PIECES = 8
+_PLACES = 4  # at which the difference that the harmonics of the motion make is found
+_BESIDE = 0.2
 _DECADES = 8.0  # of S tan(delta), below its largest
 _ROOT_2 = math.sqrt(2.0)
 _LOG_ROOT_2PI = 0.5 * math.log(2.0 * math.pi)
@@ -118,7 +123,9 @@ def gauss_moments(low: float, high: float, mean: float, sigma: float) -> tuple[f
 
 
 @inlined
-def _spread_over(histogram: _Floats, low: float, width: float, left: float, right: float, mass: float) -> None:
+def _spread_over(
+    histogram: _Floats, low: float, width: float, left: float, right: float, mass: float
+) -> None:
     """Add a mass, even between two values, to bins that begin at ``low``."""
     last = histogram.shape[0] - 1
     x0, x1 = (left - low) / width, (right - low) / width
@@ -230,7 +237,13 @@ def _add_gaussian(
         there = middle + way * 1.3 * sigma
         part = mass * (0.5 if way == 0.0 else 0.25)
         _add_even(
-            histogram, low, width, max(there - wide, least), max(min(there + wide, most), least), logarithmic, part
+            histogram,
+            low,
+            width,
+            max(there - wide, least),
+            max(min(there + wide, most), least),
+            logarithmic,
+            part,
         )
 
 
@@ -273,8 +286,20 @@ def new_grid() -> Grid:
 
 @inner
 def _stretches(
-    table: Table, slot: int, share: float, scale: float, orders: npt.NDArray[np.int64], lossy: npt.NDArray[np.bool_],
-    W: _Floats, sticky: bool, loss: bool, box: Box, s: Scratch, bounded: _Floats, bottom: float, ends: _Floats,
+    table: Table,
+    slot: int,
+    share: float,
+    scale: float,
+    orders: npt.NDArray[np.int64],
+    lossy: npt.NDArray[np.bool_],
+    W: _Floats,
+    sticky: bool,
+    loss: bool,
+    box: Box,
+    s: Scratch,
+    bounded: _Floats,
+    bottom: float,
+    ends: _Floats,
 ) -> tuple[int, float]:
     """Fill the stretches of t that matter; return how many, and the least chi-squared.
 
@@ -326,7 +351,7 @@ def _stretches(
             inside, at_inside = where[j], depth[j]
             # node by node until it is out
             place = (where[j] - SHALLOWEST) / width
-            k = int(math.ceil(place)) - 1 if side == 0 else int(math.floor(place)) + 1
+            k = math.ceil(place) - 1 if side == 0 else math.floor(place) + 1
             outside, at_outside = limit, math.inf
             while 0 <= k < nodes:
                 t = SHALLOWEST + width * k
@@ -374,6 +399,8 @@ def posterior_pixels(
     lossy: npt.NDArray[np.bool_],
     attraction: npt.NDArray[np.int64],
     prior: Prior,
+    followed: Followed,
+    f_known: _Complex,
     radius_pull: _Floats,
     radius_variance: _Floats,
     whole: bool,
@@ -396,6 +423,10 @@ def posterior_pixels(
         Row of CONS_1, whose sign says whether the tip may stay out of contact; -1 without.
     prior : Prior
         Of the material and the indentation.
+    followed : Followed
+        The lever, or without harmonics for a bare cosine.
+    f_known : array (pixel, harmonic)
+        Forces of the harmonics that were measured, complex [N].
     radius_pull, radius_variance : array (pixel or 1, row), (pixel or 1,)
         What a whitened residual says of ln of the first unknown through the radius of the tip, and the variance of it
         that is left.
@@ -407,7 +438,10 @@ def posterior_pixels(
         Filled.
     """
     rows = orders.shape[0]
-    s = new_scratch(rows + 1, table.elastic.shape[2] - 1)
+    places = _PLACES if followed.tip.shape[0] > 0 else 0
+    s = new_scratch(rows + 1, table.elastic.shape[2] - 1, places)
+    bare = new_scratch(rows + 1, table.elastic.shape[2] - 1, 0)
+    room, out = new_room(followed), np.zeros(rows)
     sticky, loss = adhesive(columns), columns.loss > 0.0
     contact = columns.contact
     bounded = np.empty((NODES - 1) // _STRIDE + 1)
@@ -417,7 +451,8 @@ def posterior_pixels(
     histogram, work = np.empty(_BINS), np.empty(_BINS)
     root_F = math.sqrt(prior.adhesion_precision)
     if root_F > 0.0:
-        s.wb[rows], s.wy[rows] = root_F, root_F * prior.adhesion_mean
+        s.wb[rows], s.first[rows] = root_F, root_F * prior.adhesion_mean
+        bare.wb[rows], bare.first[rows] = s.wb[rows], s.first[rows]
     box = Box(
         stiffness(contact, math.exp(prior.log_low))[0],
         stiffness(contact, math.exp(prior.log_high))[0],
@@ -433,7 +468,9 @@ def posterior_pixels(
     if sticky:
         log_prior_F = -math.log(prior.adhesion_high - prior.adhesion_low)
         if root_F > 0.0:
-            mass, more = gauss_mass(prior.adhesion_low, prior.adhesion_high, prior.adhesion_mean, 1.0 / root_F)
+            mass, more = gauss_mass(
+                prior.adhesion_low, prior.adhesion_high, prior.adhesion_mean, 1.0 / root_F
+            )
             log_prior_F = math.log(root_F) - _LOG_ROOT_2PI - math.log(mass) - more
     for i in range(y.shape[0]):
         quantiles[i], summary[i] = math.nan, math.nan
@@ -447,13 +484,44 @@ def posterior_pixels(
         u = radius_pull[min(i, radius_pull.shape[0] - 1)]
         variance_R = radius_variance[min(i, radius_variance.shape[0] - 1)]
         scale = A**table.power
-        whiten(W, y[i], s.wy)
+        whiten(W, y[i], s.first)
         log_norm = -rows * _LOG_ROOT_2PI
         for r in range(rows):
             log_norm += math.log(W[r, r])
         bottom = max(math.log(prior.shallowest / (2.0 * A - prior.shallowest)), SHALLOWEST)
         deepest = 2.0 * A / (1.0 + math.exp(-DEEPEST))
         log_prior_t = -math.log(deepest / (2.0 * A / (1.0 + math.exp(-bottom))))
+        if places > 0:
+            # where the bare cosine puts the valley, what the harmonics of the motion make of it
+            whiten(W, y[i], bare.first)
+            count, _ = _stretches(
+                table, slot, share, scale, orders, lossy, W, sticky, loss, box, bare, bounded, bottom, ends
+            )
+            set_places(s, ends[0, 0] - _BESIDE, ends[count - 1, 1] + _BESIDE)
+            out[:] = 0.0
+            for j in range(places):
+                room.b[:] = 0.0
+                difference_at(
+                    s.places[j],
+                    A,
+                    table,
+                    slot,
+                    share,
+                    scale,
+                    columns,
+                    followed,
+                    f_known[i],
+                    orders,
+                    lossy,
+                    W,
+                    sticky,
+                    box,
+                    bare,
+                    room,
+                    out,
+                )
+                whiten(W, out, s.shifts[j])
+                s.shifts[j, rows] = 0.0
         count, least = _stretches(
             table, slot, share, scale, orders, lossy, W, sticky, loss, box, s, bounded, bottom, ends
         )
@@ -544,9 +612,23 @@ def posterior_pixels(
         reference = least
         apart_total = 0.0
         if attraction[0] >= 0 and y[i, attraction[0]] > 0.0 and has_reach(columns) and prior.contact < 1.0:
+            for r in range(rows):
+                s.wy[r] = s.first[r]
             apart_total, least_apart = _out_of_contact(
-                A, columns, orders, lossy, W, prior, log_prior_F, s, along, nodes, quantiles[i], histogram,
-                work, whole,
+                A,
+                columns,
+                orders,
+                lossy,
+                W,
+                prior,
+                log_prior_F,
+                s,
+                along,
+                nodes,
+                quantiles[i],
+                histogram,
+                work,
+                whole,
             )
             reference = min(least, least_apart)
             apart_total *= math.exp(-0.5 * (least_apart - reference)) * (1.0 - prior.contact)
@@ -638,7 +720,9 @@ def posterior_pixels(
         for j in range(nodes):
             above = below + along[j]
             while level < LEVELS.shape[0] and above >= LEVELS[level] * total and along[j] > 0.0:
-                left = grid.t[j] - grid.cell[j] * (1.0 if j > 0 and grid.t[j] - grid.t[j - 1] < 3.0 * grid.cell[j] else 0.0)
+                left = grid.t[j] - grid.cell[j] * (
+                    1.0 if j > 0 and grid.t[j] - grid.t[j - 1] < 3.0 * grid.cell[j] else 0.0
+                )
                 right = grid.t[j] + grid.cell[j] * (
                     1.0 if j + 1 < nodes and grid.t[j + 1] - grid.t[j] < 3.0 * grid.cell[j] else 0.0
                 )
@@ -650,8 +734,19 @@ def posterior_pixels(
 
 @inner
 def _out_of_contact(
-    A: float, columns: Columns, orders: npt.NDArray[np.int64], lossy: npt.NDArray[np.bool_], W: _Floats, prior: Prior,
-    log_prior_F: float, s: Scratch, along: _Floats, nodes: int, quantiles: _Floats, histogram: _Floats, work: _Floats,
+    A: float,
+    columns: Columns,
+    orders: npt.NDArray[np.int64],
+    lossy: npt.NDArray[np.bool_],
+    W: _Floats,
+    prior: Prior,
+    log_prior_F: float,
+    s: Scratch,
+    along: _Floats,
+    nodes: int,
+    quantiles: _Floats,
+    histogram: _Floats,
+    work: _Floats,
     whole: bool,
 ) -> tuple[float, float]:
     """Sum over the gap where the tip stays out of contact; return the sum over exp(-chi2/2) and chi-squared.
@@ -714,7 +809,9 @@ def _out_of_contact(
         F[k], spread[k] = middle, 1.0 / math.sqrt(precision)
         mass, more = gauss_mass(prior.adhesion_low, prior.adhesion_high, middle, spread[k])
         exponent = -0.5 * (free - best) + more + _LOG_ROOT_2PI - 0.5 * math.log(precision)
-        weights[k] = mass * math.exp(exponent + log_prior_F + log_prior_gap) * step * (0.5 if k in (0, n - 1) else 1.0)
+        weights[k] = (
+            mass * math.exp(exponent + log_prior_F + log_prior_gap) * step * (0.5 if k in (0, n - 1) else 1.0)
+        )
         total += weights[k]
         F_low, F_high = min(F_low, F[k] - 4.0 * spread[k]), max(F_high, F[k] + 4.0 * spread[k])
     if whole and total > 0.0:
@@ -725,7 +822,16 @@ def _out_of_contact(
         for k in range(n):
             half = 0.5 * abs(F[min(k + 1, n - 1)] - F[max(k - 1, 0)]) * (0.5 if 0 < k < n - 1 else 1.0)
             _add_gaussian(
-                histogram, F_low, width, F[k], half, spread[k], prior.adhesion_low, prior.adhesion_high, False, weights[k]
+                histogram,
+                F_low,
+                width,
+                F[k],
+                half,
+                spread[k],
+                prior.adhesion_low,
+                prior.adhesion_high,
+                False,
+                weights[k],
             )
             # gaps rise, indentations fall: the levels come from the other end
             above = below + weights[k]

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from overtone.inversion.columns import WORK_ROWS, Columns, fill_columns
-from overtone.kernels import inner, inlined, kernel
+from overtone.kernels import inlined, inner, kernel
 
 _Floats = npt.NDArray[np.float64]
 

@@ -2,8 +2,8 @@
 
 In rows whitened by the noise the harmonics of a pixel are ``y = S a + F_ad b + c v`` with columns that depend on the
 indentation alone: a elastic, b adhesive, v dissipative, ``c = S tan(delta)``. Taking v, then b, then a off the data one
-after the other leaves everything known in closed form: chi-squared as a function of S with the others at their best, and
-the best F_ad and c at each S. No product of columns is formed: those are so nearly parallel that it would square a
+after the other leaves everything known in closed form: chi-squared as a function of S with the others at their best,
+and the best F_ad and c at each S. No product of columns is formed: those are so nearly parallel that it would square a
 condition of 1e5.
 """
 
@@ -66,11 +66,19 @@ class Scratch(NamedTuple):
     wv: _Floats
     wy: _Floats
     work: _Floats
+    first: _Floats
+    """(row,): the data, whitened; ``wy`` is what is left of them at an indentation."""
+    places: _Floats
+    """(place,): t at which the difference that the harmonics of the motion make was found; may be empty."""
+    poles: _Floats
+    """(place,): barycentric weights of the polynomial between them."""
+    shifts: _Floats
+    """(place, row): that difference, whitened."""
 
 
 @inner
-def new_scratch(rows: int, n_max: int) -> Scratch:
-    """Return scratch for pixels of so many rows."""
+def new_scratch(rows: int, n_max: int, places: int) -> Scratch:
+    """Return scratch for pixels of so many rows, and differences of the motion at so many places."""
     return Scratch(
         np.zeros(rows),
         np.zeros(rows),
@@ -80,7 +88,45 @@ def new_scratch(rows: int, n_max: int) -> Scratch:
         np.zeros(rows),
         np.zeros(rows),
         np.empty((6, n_max + 1)),
+        np.zeros(rows),
+        np.zeros(places),
+        np.zeros(places),
+        np.zeros((places, rows)),
     )
+
+
+@inner
+def set_places(s: Scratch, low: float, high: float) -> None:
+    """Set the places between two t: Chebyshev points, between which a polynomial interpolates without waves."""
+    count = s.places.shape[0]
+    for j in range(count):
+        angle = (2.0 * j + 1.0) * math.pi / (2.0 * count)
+        s.places[j] = 0.5 * (low + high) - 0.5 * (high - low) * math.cos(angle)
+        s.poles[j] = math.sin(angle) * (1.0 if j % 2 == 0 else -1.0)
+
+
+@inlined
+def set_data(s: Scratch, t: float) -> None:
+    """Fill the whitened data at t: those measured, less what the harmonics of the motion make there."""
+    count = s.places.shape[0]
+    rows = s.first.shape[0]
+    for i in range(rows):
+        s.wy[i] = s.first[i]
+    if count == 0:
+        return
+    t = min(max(t, s.places[0]), s.places[count - 1])
+    total = 0.0
+    for j in range(count):
+        off = t - s.places[j]
+        if off == 0.0:
+            for i in range(rows):
+                s.wy[i] = s.first[i] - s.shifts[j, i]
+            return
+        total += s.poles[j] / off
+    for j in range(count):
+        part = s.poles[j] / (t - s.places[j]) / total
+        for i in range(rows):
+            s.wy[i] -= part * s.shifts[j, i]
 
 
 @inlined
@@ -116,8 +162,9 @@ def tabulated_columns(
     W: _Floats,
     s: Scratch,
 ) -> float:
-    """Fill the whitened columns at t from the table; return Delta."""
+    """Fill the whitened columns and data at t from the table; return Delta."""
     Delta = interpolate(table, slot, share, scale, t, orders, s.a, s.b)
+    set_data(s, t)
     _part(orders, lossy, s)
     whiten(W, s.a, s.wa)
     whiten(W, s.b, s.wb)
@@ -129,13 +176,15 @@ def tabulated_columns(
 def exact_columns(
     columns: Columns,
     amplitude: float,
-    Delta: float,
+    t: float,
     orders: npt.NDArray[np.int64],
     lossy: npt.NDArray[np.bool_],
     W: _Floats,
     s: Scratch,
-) -> None:
-    """Fill the whitened columns at a Delta, from the closed forms themselves."""
+) -> float:
+    """Fill the whitened columns and data at t, from the closed forms themselves; return Delta."""
+    Delta = 1.0 / (1.0 + math.exp(-t))
+    set_data(s, t)
     fill_columns(columns, amplitude, Delta, s.work.shape[1] - 1, s.work)
     for i in range(orders.shape[0]):
         s.a[i], s.b[i] = s.work[0, orders[i]], s.work[2, orders[i]]
@@ -143,6 +192,7 @@ def exact_columns(
     whiten(W, s.a, s.wa)
     whiten(W, s.b, s.wb)
     whiten(W, s.v, s.wv)
+    return Delta
 
 
 @inlined
@@ -207,8 +257,8 @@ def best_S(m: Reduced, box: Box) -> float:
     """Return the S within bounds at which `chi2_at` is least."""
     S = m.S
     F = m.F0 + m.F1 * S
-    edge = box.weakest if F < box.weakest else box.strongest
-    if m.beta2 > 0.0 and (F < box.weakest or F > box.strongest):
+    edge = box.weakest if box.weakest > F else box.strongest
+    if m.beta2 > 0.0 and (box.weakest > F or box.strongest < F):
         stiff = m.alpha2 + m.beta2 * m.F1 * m.F1
         S = (m.alpha2 * m.S + m.beta2 * m.F1 * (edge - m.F0)) / stiff
     return min(max(S, box.softest), box.stiffest)
@@ -220,8 +270,8 @@ def edge_of_S(m: Reduced, box: Box, target: float, way: float) -> float:
     reach = math.sqrt(max(target - m.rest, 0.0) / m.alpha2)
     S = m.S + way * reach
     F = m.F0 + m.F1 * S
-    if m.beta2 > 0.0 and (F < box.weakest or F > box.strongest):
-        edge = box.weakest if F < box.weakest else box.strongest
+    if m.beta2 > 0.0 and (box.weakest > F or box.strongest < F):
+        edge = box.weakest if box.weakest > F else box.strongest
         stiff = m.alpha2 + m.beta2 * m.F1 * m.F1
         middle = (m.alpha2 * m.S + m.beta2 * m.F1 * (edge - m.F0)) / stiff
         off = m.F0 + m.F1 * middle - edge
@@ -253,4 +303,3 @@ def physical(m: Reduced) -> bool:
     """Return whether the solution without bounds is one that a sample can have."""
     F = m.F0 + m.F1 * m.S
     return bool(m.S > 0.0 and F >= 0.0 and (m.gamma2 == 0.0 or m.c0 + m.c1 * m.S + m.c2 * F >= 0.0))
-
