@@ -15,7 +15,7 @@ LOWER, UPPER = np.log([1e4, 1e-12, 1e-12]), np.log([1e12, 1e-6, 1.0])
 
 
 def contact(tail: int = terms.LINEAR_TAIL) -> Contact:
-    return Contact(tail, A0, (1 - 0.09) / 130e9, 1 - POISSON**2, math.sqrt(RADIUS))
+    return Contact(tail, A0, (1 - 0.09) / 130e9, 1 - POISSON**2, 4.0 / 3.0 * math.sqrt(RADIUS))
 
 
 def fit(

@@ -95,7 +95,7 @@ def readings_of(observables: xr.Dataset, orders: tuple[int, ...]) -> tuple[list[
         return np.asarray(array.values).reshape(-1)
 
     amplitudes = [flat(f"A{n}") for n in orders]
-    phases = [flat(f"phi{n}") if n else np.zeros(1) for n in orders]
+    phases = [flat(f"phi{n}") if n else np.broadcast_to(0.0, like.size) for n in orders]
     return amplitudes, phases
 
 

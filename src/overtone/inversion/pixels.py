@@ -155,18 +155,7 @@ class Setting:
             Change of ln of the elastic unknown with ln R at a given force.
         """
         amplitude = np.ascontiguousarray(np.stack([a[block] for a in self.amplitudes], axis=1), dtype=float)
-        phase = np.ascontiguousarray(
-            np.stack(
-                [
-                    np.broadcast_to(p[block], amplitude.shape[:1])
-                    if p.size > 1
-                    else np.zeros(amplitude.shape[0])
-                    for p in self.phases
-                ],
-                axis=1,
-            ),
-            dtype=float,
-        )
+        phase = np.ascontiguousarray(np.stack([p[block] for p in self.phases], axis=1), dtype=float)
         count, harmonics = amplitude.shape
         f = np.empty((count, harmonics), complex)
         errors = np.empty((count, harmonics, 1 + 2 * harmonics), complex)
