@@ -35,6 +35,8 @@ if TYPE_CHECKING:
     from overtone.instrument.gates import gates as gates
     from overtone.instrument.instrument import Instrument as Instrument
     from overtone.instrument.noise import noise_from_pair as noise_from_pair
+    from overtone.instrument.noise_sources import noise_from_bandwidth as noise_from_bandwidth
+    from overtone.instrument.noise_sources import noise_from_scan as noise_from_scan
     from overtone.instrument.photodiode import SplitDiode as SplitDiode
     from overtone.instrument.scan import simulate_scan as simulate_scan
     from overtone.instrument.sensitivity import static_sensitivity as static_sensitivity
@@ -47,9 +49,11 @@ if TYPE_CHECKING:
     from overtone.instrument.tip import tip_wear as tip_wear
     from overtone.instrument.toml import load_instrument as load_instrument
     from overtone.instrument.toml import save_instrument as save_instrument
+    from overtone.inversion.priors import Prior as Prior
     from overtone.inversion.properties import map_energy as map_energy
     from overtone.inversion.properties import map_properties as map_properties
     from overtone.inversion.reconstruction import reconstruct_force as reconstruct_force
+    from overtone.inversion.validity import contact_validity as contact_validity
     from overtone.io.curves import open_curve as open_curve
     from overtone.io.ladder import open_ladder as open_ladder
     from overtone.io.netcdf import load as load
@@ -70,6 +74,7 @@ if TYPE_CHECKING:
 _HOME = {
     "Calibration": "instrument.calibration",
     "Instrument": "instrument.instrument",
+    "Prior": "inversion.priors",
     "Probe": "probe",
     "Reference": "instrument.approach_fit",
     "Sample": "contact.sample",
@@ -78,6 +83,7 @@ _HOME = {
     "beam_modes": "beam",
     "calibrate": "instrument.calibrate",
     "calibration_of": "instrument.correct",
+    "contact_validity": "inversion.validity",
     "correct": "instrument.correct",
     "demodulate": "instrument.demodulate",
     "fit_thermal": "instrument.thermal",
@@ -94,7 +100,9 @@ _HOME = {
     "map_energy": "inversion.properties",
     "map_properties": "inversion.properties",
     "models": "contact.models",
+    "noise_from_bandwidth": "instrument.noise_sources",
     "noise_from_pair": "instrument.noise",
+    "noise_from_scan": "instrument.noise_sources",
     "open_curve": "io.curves",
     "open_ladder": "io.ladder",
     "open_scan": "io.observables",

@@ -27,7 +27,8 @@ from overtone.instrument.noise import ORDINARY_NOISE, add_noise, noise_from_pair
 from overtone.instrument.phantom import POLYOLEFIN, POLYSTYRENE, Material, blend
 from overtone.instrument.photodiode import SplitDiode
 from overtone.instrument.scan import scan_with_truth
-from overtone.inversion.properties import DETERMINED, HARMONIC_SETS, map_energy, map_properties
+from overtone.inversion.properties import DETERMINED, map_energy, map_properties
+from overtone.inversion.validity import with_validity
 from overtone.io.netcdf import save
 from overtone.probe import Probe
 from overtone.quantities import LIFT, named_array
@@ -39,6 +40,9 @@ from overtone.units import format_quantity
 
 _POISSON_RATIO = 0.35
 _SETPOINT = 0.42
+
+RESULTS = (("posterior", "posterior", (0, 1, 2, 3)), ("least squares", "least-squares", (0, 1, 2)))
+"""What is shown: a label, the method and the harmonics it uses."""
 
 Progress = Callable[[str, int, int], None]
 
@@ -243,16 +247,19 @@ def run_demo(folder: str | Path, *, progress: Progress | None = None) -> Demo:
     probe, truth = probe_of(observables), session.truth
     energies = map_energy(observables, probe, noise=noise)
     results: dict[str, xr.Dataset] = {}
-    for orders in HARMONIC_SETS:
-        label = "harmonics " + " ".join(map(str, orders))
-        results[label] = map_properties(
+    for label, method, orders in RESULTS:
+        result = map_properties(
             observables,
             probe,
             model="dmt",
             poisson_ratio=_POISSON_RATIO,
+            method=method,
             harmonics=orders,
             noise=noise,
             progress=partial(notify, label),
+        )
+        results[label] = with_validity(
+            result, observables["A1"], probe, model="dmt", harmonics=orders, poisson_ratio=_POISSON_RATIO
         )
     materials = (POLYSTYRENE.name, POLYOLEFIN.name)
     supported = gates(
@@ -277,7 +284,15 @@ def run_demo(folder: str | Path, *, progress: Progress | None = None) -> Demo:
         calibration=Calibrated(calibration, session.curve, corrected_curve, session.ladder, supported),
     )
     notify("writing", 0, 3)
-    names = ("curve.nc", "ladder.nc", "calibration.toml", "scan.nc", "results.nc", "report.html")
+    names = (
+        "curve.nc",
+        "ladder.nc",
+        "calibration.toml",
+        "scan.nc",
+        "results.nc",
+        "published.nc",
+        "report.html",
+    )
     files = tuple(folder / name for name in names)
     save(session.curve, files[0])
     save(session.ladder, files[1])
@@ -285,19 +300,13 @@ def run_demo(folder: str | Path, *, progress: Progress | None = None) -> Demo:
     lifted = session.lift.rename({name: f"{LIFT}{name}" for name in session.lift.data_vars})
     save(session.scan.merge(lifted).assign_attrs(session.scan.attrs), files[3])
     notify("writing", 1, 3)
-    stacked = xr.concat(
-        [result.drop_attrs(deep=False) for result in results.values()],
-        dim=xr.DataArray(list(results), dims="harmonics", name="harmonics"),
-    )
     known = truth[[name for name in ("modulus", "adhesion", "indentation", "material") if name in truth]]
-    save(
-        stacked.merge(energies.drop_attrs(deep=False))
-        .merge(known.rename({name: f"{name}_truth" for name in known.data_vars}).drop_attrs(deep=False))
-        .assign_attrs(next(iter(results.values())).attrs),
-        files[4],
-    )
+    known = known.rename({name: f"{name}_truth" for name in known.data_vars}).drop_attrs(deep=False)
+    for result, path in zip(results.values(), files[4:6], strict=True):
+        beside = result.merge(energies.drop_attrs(deep=False)).merge(known)
+        save(beside.assign_attrs(result.attrs), path)
     notify("writing", 2, 3)
-    write_report(report, files[5])
+    write_report(report, files[6])
     notify("writing", 3, 3)
     return Demo(report, files)
 
@@ -309,14 +318,14 @@ def _sample(material: Material) -> Sample:
 def _verdicts(
     results: dict[str, xr.Dataset], truth: xr.Dataset, materials: tuple[str, ...]
 ) -> tuple[str, ...]:
-    """Say in words where least squares can tell a modulus and where it cannot."""
+    """Say in words where a method can tell a modulus and where it cannot."""
     sentences = []
     for label, result in results.items():
         for i, material in enumerate(materials):
             status = result["status"].values[truth["material"].values == i]
             share = float((status == DETERMINED).mean())
-            verb = "determine" if share >= 0.5 else "do not determine"
             sentences.append(
-                f"{label.capitalize()} {verb} the modulus of {material} ({100 * share:.0f} % of its pixels)."
+                f"By {label} the modulus of {material} is {'' if share >= 0.5 else 'not '}determined "
+                f"({100 * share:.0f} % of its pixels)."
             )
     return tuple(sentences)

@@ -95,6 +95,33 @@ _QUANTITIES = (
         "quality",
     ),
     Quantity("start_spread", "", "1", "range of ln E over the starting points", "quality"),
+    Quantity("contact_radius", "a", "m", "radius of the contact at the deepest point", "quality"),
+    Quantity(
+        "mean_pressure",
+        "p_m",
+        "Pa",
+        "elastic load over the area of the contact, at the deepest point",
+        "quality",
+    ),
+    Quantity(
+        "relative_indentation", "delta_max/R", "1", "maximum indentation over the tip radius", "quality"
+    ),
+    Quantity("tabor", "mu", "1", "Tabor parameter: below 0.1 DMT applies, above 5 JKR", "quality"),
+    Quantity(
+        "modulus_jkr",
+        "E_JKR",
+        "Pa",
+        "elastic modulus if the contact is JKR, from the same harmonics",
+        "quality",
+    ),
+    Quantity(
+        "adhesion_jkr",
+        "F_ad,JKR",
+        "N",
+        "force of adhesion if the contact is JKR, from the same harmonics",
+        "quality",
+    ),
+    Quantity("model_difference", "ln(E_JKR/E)", "1", "ln of the JKR modulus over the DMT modulus", "quality"),
     Quantity("reference", "", "1", "whether a pixel was taken as the reference material", "quality"),
     Quantity("status", "", "1", "what this pixel can be trusted for", "quality"),
 )

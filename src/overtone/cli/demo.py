@@ -19,7 +19,7 @@ def demo(*, output: Annotated[Path, Parameter(name=["--output", "-o"])] = Path("
     Parameters
     ----------
     output : Path
-        Folder for curve.nc, ladder.nc, calibration.toml, scan.nc, results.nc and report.html.
+        Folder for curve.nc, ladder.nc, calibration.toml, scan.nc, results.nc, published.nc and report.html.
     """
     from overtone.demo import run_demo
     from overtone.report.terminal import print_report

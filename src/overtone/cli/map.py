@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 from cyclopts import Parameter
 from rich.console import Console
 
-from overtone.cli.options import ScanOptions, open_with, parse_noise
+from overtone.cli.noise import noise_request, resolve_noise
+from overtone.cli.options import ScanOptions, open_with
+from overtone.cli.priors import parse_priors
 from overtone.cli.progress import progress_bar
 from overtone.errors import OvertoneError
 
@@ -21,10 +23,13 @@ def map_scan(
     output: Annotated[Path, Parameter(name=["--output", "-o"])],
     report: Path | None = None,
     model: str | None = None,
-    method: str = "least-squares",
+    method: str = "posterior",
     harmonics: str | None = None,
     poisson_ratio: float | None = None,
     noise: Annotated[tuple[str, ...], Parameter(name="--noise")] = (),
+    prior: Annotated[tuple[str, ...], Parameter(name="--prior")] = (),
+    motion: str = "full",
+    parameter: Annotated[tuple[str, ...], Parameter(name="--parameter")] = (),
     calibration: Path | None = None,
     reference_area: str | None = None,
     lift: Annotated[bool, Parameter(negative=())] = False,
@@ -41,16 +46,27 @@ def map_scan(
     report : Path
         Report as one HTML file.
     model : str
-        Contact model (see "overtone models"); dmt-linear unless given, where a modulus can be mapped.
+        Contact model (see "overtone models"), or auto: the one the data of each pixel prefer. dmt unless given, where a
+        modulus can be mapped.
     method : str
-        least-squares: the published estimator, for reproduction.
+        posterior: medians and 90 % intervals. exact: every solution, without intervals. least-squares: the published
+        estimator, for reproduction.
     harmonics : str
-        0,1,2 or 1,2,3; the first set that was measured unless given.
+        Such as 0,1,2; those of 0 to 3 that were measured unless given.
     poisson_ratio : float
         Poisson's ratio of the sample; needed for a modulus, not assumed.
     noise : tuple
-        Standard deviation of an observable, for example A0="5 pm"; may be repeated. Unless given, it is told from trace
-        and retrace where the file has both and --direction says which is mapped; an ordinary one is assumed elsewhere.
+        Standard deviation of an observable, for example A0="5 pm", or where noise is told from: scatter (neighbouring
+        pixels), pair (trace and retrace), or "bandwidth=500 Hz, detector=50 fm/rtHz, temperature=300 K"; may be
+        repeated, single values stand. Unless given, it is told from trace and retrace where the file has both and
+        --direction says which is mapped; an ordinary one is assumed elsewhere.
+    prior : tuple
+        What is known of a property before, for example modulus="10 MPa .. 10 GPa" or adhesion="8 nN +- 3 nN"; may be
+        repeated. Broad ones unless given; the report states them.
+    motion : str
+        full: the harmonics of the tip's motion count. cosine: they do not, as in the published formulas.
+    parameter : tuple
+        What else the model has to know, for example thickness="50 nm"; may be repeated.
     calibration : Path
         Calibration of the instrument ("overtone calibrate"): the scan is corrected with it first.
     reference_area : str
@@ -73,21 +89,24 @@ def map_scan(
     from overtone.report.terminal import print_report
 
     _check_paths(file, output, report)
-    _check_request(model, method, harmonics, poisson_ratio)
-    sigma = parse_noise(noise)
+    asked = _Request(
+        model,
+        method,
+        _parse_harmonics(harmonics),
+        poisson_ratio,
+        parse_priors(prior),
+        motion,
+        _parse_given(parameter),
+    )
+    _check_request(asked)
+    wanted = noise_request(noise)
     observables, correction = _opened(file, scan, calibration, reference_area, lift)
-    observables, sigma = _with_noise_of_the_pair(file, scan, observables, sigma)
-    energies = map_energy(observables, probe_of(observables), noise=sigma)
+    probe = probe_of(observables)
+    sigma, said = resolve_noise(wanted, observables, probe, pair=partial(_both_ways, file, scan, probe))
+    observables = provenance.add_finding(observables, said)
+    energies = map_energy(observables, probe, noise=sigma)
     with progress_bar() as update:
-        result, label, remark = _properties(
-            observables,
-            model,
-            method,
-            harmonics,
-            poisson_ratio,
-            sigma,
-            partial(update, "inverting"),
-        )
+        result, label, remark = _properties(observables, asked, sigma, partial(update, "inverting"))
     if remark:
         observables = provenance.add_finding(observables, remark)
     properties: dict[str, xr.Dataset] = {} if result is None else {label: result}
@@ -176,43 +195,21 @@ def _area(text: str | None) -> Any:
     return tuple(parse_quantity(part, "m", "--reference-area") for part in parts)
 
 
-def _with_noise_of_the_pair(
-    file: Path, scan: ScanOptions, observables: Any, stated: dict[str, float]
-) -> tuple[Any, dict[str, float]]:
-    """Return the scan and its noise: as stated, or from trace and retrace where the file holds both.
-
-    The two ways are as stored: what the calibration of a corrected scan says of the gains is divided out.
-    """
+def _both_ways(file: Path, scan: ScanOptions, probe: Any) -> tuple[Any, Any]:
+    """Return the direction that is mapped and the other one, as stored."""
     from dataclasses import replace
 
-    from overtone import provenance
-    from overtone.instrument.correct import calibration_of
-    from overtone.instrument.noise import noise_from_pair
-    from overtone.readings import probe_of
-
     other = {"trace": "retrace", "retrace": "trace"}.get(scan.direction or "")
-    if stated or other is None:
-        return observables, stated
-    try:
-        pair = [
-            open_with(file, replace(scan, direction=way), probe=probe_of(observables), keep_offset=True)
-            for way in (scan.direction, other)
-        ]
-        noise = noise_from_pair(*pair)
-    except OvertoneError:  # the other way was not recorded, or not with the same channels
-        return observables, stated
-    corrected = calibration_of(observables)
-    if corrected is not None:
-        gains = {f"A{n}": corrected.values[f"gain{n}"] for n in (0, 2, 3)}
-        noise = {name: value / gains.get(name, 1.0) for name, value in noise.items()}
-    from overtone.quantities import quantity
-    from overtone.units import format_quantity
-
-    texts = (
-        f"{name} {format_quantity(value, getattr(quantity(name), 'unit', '1'))}"
-        for name, value in noise.items()
+    if other is None:
+        raise OvertoneError(
+            "it is not said which of trace and retrace is mapped",
+            hint="--direction trace, or --noise scatter",
+        )
+    here, there = (
+        open_with(file, replace(scan, direction=way), probe=probe, keep_offset=True)
+        for way in (scan.direction, other)
     )
-    return provenance.add_finding(observables, f"Noise, from trace and retrace: {', '.join(texts)}."), noise
+    return here, there
 
 
 def _check_paths(file: Path, output: Path, report: Path | None) -> None:
@@ -231,23 +228,60 @@ def _check_paths(file: Path, output: Path, report: Path | None) -> None:
         raise OvertoneError(f"{output.name} is no name for a result", expected="a name that ends in .nc")
 
 
-def _check_request(
-    model: str | None, method: str, harmonics: str | None, poisson_ratio: float | None
-) -> None:
-    """Refuse what could not be mapped, whether or not the file allows a modulus."""
-    from overtone.contact.models import contact_model
-    from overtone.contact.parameters import POISSON_RATIO
-    from overtone.inversion.properties import HARMONIC_SETS, METHODS
+class _Request(NamedTuple):
+    """What was asked of the inversion."""
 
-    if model is not None and not contact_model(model).invertible:
-        raise OvertoneError(f"model {model!r} cannot be inverted", hint="overtone models")
-    if method not in METHODS:
-        raise OvertoneError("unknown method", expected=", ".join(METHODS), got=repr(method))
-    orders = _parse_harmonics(harmonics)
-    if orders is not None and orders not in HARMONIC_SETS:
-        raise OvertoneError("harmonics do not fit the method", expected="0,1,2 or 1,2,3", got=str(harmonics))
-    if poisson_ratio is not None:
-        POISSON_RATIO.check(poisson_ratio)
+    model: str | None
+    method: str
+    harmonics: tuple[int, ...] | None
+    poisson_ratio: float | None
+    priors: dict[str, Any]
+    motion: str
+    given: dict[str, float]
+
+
+def _check_request(asked: _Request) -> None:
+    """Refuse what could not be mapped, whether or not the file allows a modulus."""
+    from overtone.contact.parameters import POISSON_RATIO
+    from overtone.inversion.properties import HARMONIC_SETS, METHODS, MOTIONS, records_of
+
+    if asked.method not in METHODS:
+        raise OvertoneError("unknown method", expected=", ".join(METHODS), got=repr(asked.method))
+    if asked.motion not in MOTIONS:
+        raise OvertoneError("unknown motion", expected=", ".join(MOTIONS), got=repr(asked.motion))
+    if asked.model is not None:
+        records_of(asked.model, asked.method)
+    if asked.priors and asked.method != "posterior":
+        raise OvertoneError("only the posterior has priors", expected="--method posterior", got=asked.method)
+    if (
+        asked.method == "least-squares"
+        and asked.harmonics is not None
+        and asked.harmonics not in HARMONIC_SETS
+    ):
+        raise OvertoneError(
+            "harmonics do not fit the method", expected="0,1,2 or 1,2,3", got=str(asked.harmonics)
+        )
+    if asked.poisson_ratio is not None:
+        POISSON_RATIO.check(asked.poisson_ratio)
+
+
+def _parse_given(texts: tuple[str, ...]) -> dict[str, float]:
+    """Return parameters of the model by name [SI]."""
+    from overtone.contact.models import models
+    from overtone.units import parse_quantity
+
+    known = {q.name: q for record in models() for q in record.given}
+    given = {}
+    for text in texts:
+        name, mark, value = (part.strip() for part in text.partition("="))
+        if not mark or name not in known:
+            raise OvertoneError(
+                "--parameter is not understood",
+                expected='a name and a value, such as thickness="50 nm"; names are ' + ", ".join(known),
+                got=repr(text),
+            )
+        given[name] = parse_quantity(value, known[name].unit, f"--parameter {name}")
+    return given
 
 
 def _other_readings(observables: Any) -> list[Any]:
@@ -262,32 +296,25 @@ def _other_readings(observables: Any) -> list[Any]:
 
 
 def _properties(
-    observables: Any,
-    model: str | None,
-    method: str,
-    harmonics: str | None,
-    poisson_ratio: float | None,
-    noise: dict[str, float],
-    progress: Any,
+    observables: Any, asked: _Request, noise: dict[str, float], progress: Any
 ) -> tuple[Any, str, str]:
-    """Return the property maps with a label, and what to say where there are none or nothing is sure."""
-    from overtone.inversion.properties import HARMONIC_SETS, map_properties, undetermined_properties
+    """Return the property maps with a label, and what to say where there are none."""
+    from overtone.inversion.properties import map_properties, undetermined_properties
+    from overtone.inversion.validity import with_validity
     from overtone.io.observables import missing_for_modulus
-    from overtone.quantities import harmonic_orders
     from overtone.readings import probe_of
 
     probe = probe_of(observables)
-    measured = set(harmonic_orders(observables))
-    orders = _parse_harmonics(harmonics) or next((s for s in HARMONIC_SETS if set(s) <= measured), None)
+    orders = _orders(observables, asked)
     missing = [
         text
         for text, absent in (
             ('the tip radius (--radius "10 nm")', probe.tip.radius is None),
-            ("Poisson's ratio of the sample (--poisson-ratio 0.35)", poisson_ratio is None),
+            ("Poisson's ratio of the sample (--poisson-ratio 0.35)", asked.poisson_ratio is None),
         )
         if absent
     ]
-    if missing and model is not None:
+    if missing and asked.model is not None and _needs_a_tip(asked):
         raise OvertoneError(
             "a modulus was asked for",
             expected=" and ".join(missing),
@@ -296,27 +323,59 @@ def _properties(
         )
     if orders is None:
         reason = f"no modulus: {missing_for_modulus(observables)}."
-        if model is None:
+        if asked.model is None:
             return None, "", reason
-        return undetermined_properties(observables, model, reason), "no harmonics", reason
-    if missing:
+        return undetermined_properties(observables, asked.model, reason), "no harmonics", reason
+    if missing and (asked.model is None or _needs_a_tip(asked)):
         return None, "", f"no modulus was mapped, because it needs {' and '.join(missing)}."
+    model = asked.model or "dmt"
     result = map_properties(
         observables,
         probe,
-        model=model or "dmt-linear",
-        poisson_ratio=float(poisson_ratio or 0.0),
-        method=method,
+        model=model,
+        poisson_ratio=asked.poisson_ratio,
+        method=asked.method,
         harmonics=orders,
         noise=noise,
+        priors=asked.priors,
+        motion=asked.motion,
+        given=asked.given,
         progress=progress,
     )
-    assumed = (
-        ""
-        if noise
-        else "noise was not stated, an ordinary one is assumed (5 pm on A0, 0.1 deg, 1 pm on A2, A3)."
+    result = with_validity(
+        result,
+        observables["A1"],
+        probe,
+        model=model,
+        poisson_ratio=asked.poisson_ratio,
+        harmonics=orders,
+        **asked.given,
     )
-    return result, "harmonics " + ", ".join(map(str, orders)), assumed
+    return result, "harmonics " + ", ".join(map(str, orders)), ""
+
+
+def _needs_a_tip(asked: _Request) -> bool:
+    from overtone.inversion.properties import records_of
+
+    records = records_of(asked.model or "dmt", asked.method)
+    return any(q.name == "poisson_ratio" for record in records for q in record.given)
+
+
+def _orders(observables: Any, asked: _Request) -> tuple[int, ...] | None:
+    """Return the harmonics to use, None where too few were measured."""
+    from overtone.errors import InversionError
+    from overtone.inversion.properties import HARMONIC_SETS, harmonics_for
+    from overtone.quantities import harmonic_orders
+
+    if asked.harmonics is not None:
+        return asked.harmonics
+    if asked.method == "least-squares":
+        measured = set(harmonic_orders(observables))
+        return next((orders for orders in HARMONIC_SETS if set(orders) <= measured), None)
+    try:
+        return harmonics_for(observables, asked.model or "dmt", asked.method)
+    except InversionError:
+        return None
 
 
 def _parse_harmonics(text: str | None) -> tuple[int, ...] | None:
@@ -325,4 +384,4 @@ def _parse_harmonics(text: str | None) -> tuple[int, ...] | None:
     try:
         return tuple(int(part) for part in text.split(","))
     except ValueError as error:
-        raise OvertoneError("--harmonics is not a list", expected="0,1,2 or 1,2,3", got=repr(text)) from error
+        raise OvertoneError("--harmonics is not a list", expected="such as 0,1,2", got=repr(text)) from error

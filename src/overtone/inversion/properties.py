@@ -48,6 +48,7 @@ __all__ = [
     "HARMONIC_SETS",
     "METHODS",
     "MISSING_DATA",
+    "MOTIONS",
     "NOT_CONVERGED",
     "NOT_DETERMINED",
     "NO_CONTACT",
@@ -59,8 +60,10 @@ __all__ = [
     "STATUS_FLAGS",
     "STATUS_MEANINGS",
     "WIDEST_DETERMINED",
+    "harmonics_for",
     "map_energy",
     "map_properties",
+    "records_of",
     "undetermined_properties",
 ]
 
@@ -163,7 +166,7 @@ def map_properties(
         raise InversionError("unknown motion", expected=" or ".join(MOTIONS), got=repr(motion))
     if dtype not in ("float64", "float32"):
         raise InversionError("maps of this kind are not made", expected="float64 or float32", got=repr(dtype))
-    records = _records(model, method)
+    records = records_of(model, method)
     known = _known(records, poisson_ratio, intermolecular_distance, given)
     columns = tuple(columns_of(record, probe, known) for record in records)
     cons, diss = _rows(observables, records, method, harmonics)
@@ -225,8 +228,14 @@ def map_properties(
     )
 
 
-def _records(model: str, method: str) -> tuple[ContactModel, ...]:
-    """Return the models to invert, or say why they cannot be."""
+def records_of(model: str, method: str) -> tuple[ContactModel, ...]:
+    """Return the models that a key stands for.
+
+    Raises
+    ------
+    InversionError, ContactModelError
+        If there is no such model, or the method cannot invert it.
+    """
     if model == AUTO:
         if method != "posterior":
             raise InversionError(
@@ -249,6 +258,17 @@ def _records(model: str, method: str) -> tuple[ContactModel, ...]:
             hint="the one of these nearest to it",
         )
     return (record,)
+
+
+def harmonics_for(observables: xr.Dataset, model: str, method: str) -> tuple[int, ...]:
+    """Return the harmonics that a method uses of those that were measured.
+
+    Raises
+    ------
+    InversionError, ContactModelError
+        If they are too few, or there is no such model.
+    """
+    return _rows(observables, records_of(model, method), method, None)[0]
 
 
 def _known(

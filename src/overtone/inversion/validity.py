@@ -19,19 +19,11 @@ from overtone.contact.terms import NO_ADHESION
 from overtone.contact.validity import DMT_LIMIT, tabor_parameter
 from overtone.errors import InversionError
 from overtone.inversion.jkr import jkr_of_harmonics
+from overtone.inversion.properties import AUTO, COMPARED
 from overtone.probe import Probe, required_radius
+from overtone.quantities import named_variable
 
-_MEANINGS = {
-    "peak_force": ("N", "strongest repulsion in a cycle"),
-    "contact_radius": ("m", "radius of the contact at the deepest point, sqrt(R delta_max)"),
-    "mean_pressure": ("Pa", "elastic load over the area of the contact, at the deepest point"),
-    "relative_indentation": ("1", "maximum indentation over the tip radius"),
-    "tabor": ("1", "Tabor parameter: below 0.1 DMT applies, above 5 JKR"),
-    "contact_time": ("1", "share of a period in contact"),
-    "modulus_jkr": ("Pa", "elastic modulus of the sample if the contact is JKR, from the same harmonics"),
-    "adhesion_jkr": ("N", "force of adhesion if the contact is JKR, from the same harmonics"),
-    "model_difference": ("1", "ln of the JKR modulus over the DMT modulus, same harmonics"),
-}
+_HIGHEST = 3  # of the harmonics that JKR is tabulated for
 _INSTANTS = 64  # of the way in, for models whose force depends on speed
 
 _Floats = npt.NDArray[np.float64]
@@ -60,7 +52,7 @@ def contact_validity(
     model : str
         Key of the contact model that the properties belong to.
     harmonics : sequence of int
-        The three orders whose conservative harmonics JKR has to reproduce.
+        The three orders, of 0 to 3, whose conservative harmonics JKR has to reproduce; without three no JKR values.
     **given : float
         Parameters of the model that the probe does not hold: ``poisson_ratio``, ``intermolecular_distance`` [m],
         ``half_angle`` [rad], ``thickness`` [m].
@@ -146,10 +138,7 @@ def contact_validity(
         name: _spread(array, usable, shape)
         for name, array in _of_contact(record, values, fixed, probe, harmonics).items()
     }
-    variables = {
-        name: xr.Variable(dims, array, {"units": _MEANINGS[name][0], "long_name": _MEANINGS[name][1]})
-        for name, array in found.items()
-    }
+    variables = {name: named_variable(name, array, dims) for name, array in found.items()}
     result = xr.Dataset(variables, coords=reference.coords)
     result.attrs = dict(properties.attrs) | {"model": model, "frequency": probe.drive.frequency}
     return provenance.record(
@@ -159,6 +148,47 @@ def contact_validity(
         harmonics=tuple(harmonics),
         **{k: float(v) for k, v in given.items()},
     )
+
+
+def with_validity(
+    properties: xr.Dataset,
+    amplitude: xr.DataArray,
+    probe: Probe,
+    *,
+    model: str,
+    harmonics: Sequence[int],
+    **given: float | None,
+) -> xr.Dataset:
+    """Return a result of `overtone.map_properties` with what `contact_validity` says beside it.
+
+    Parameters
+    ----------
+    properties, amplitude, probe, **given
+        As there; what is None is left out.
+    model : str
+        The one that was asked for, ``auto`` included: what a pixel's own model lacks is none there.
+    harmonics : sequence of int
+        Those that were used; the JKR values take three of them.
+
+    Raises
+    ------
+    InversionError, ContactModelError, ProbeError
+        As `contact_validity`.
+    """
+    whole = properties
+    if model == AUTO:
+        model = COMPARED[-1]
+        fill = {
+            name: properties[name].fillna(0.0) for name in ("adhesion_unscreened", "viscosity_unscreened")
+        }
+        whole = properties.assign(fill)
+    orders = tuple(n for n in harmonics if n <= _HIGHEST)[:3]
+    known = {name: value for name, value in given.items() if value is not None}
+    found = contact_validity(
+        whole, amplitude, probe, model=model, harmonics=orders if len(orders) == 3 else (), **known
+    )
+    frequency = {"frequency": found.attrs["frequency"]}
+    return properties.assign(found.data_vars).assign_attrs(frequency)
 
 
 def _estimate(properties: xr.Dataset, name: str) -> xr.DataArray:
@@ -244,6 +274,8 @@ def _of_contact(
         radius=R, modulus=values["modulus"], adhesion=values["adhesion"], **tip, **distance
     )
     cons = force_harmonics(record.key, amplitude=A, indentation=delta, n_max=3, **fixed, **law_values).real
+    if len(orders) != 3:
+        return found | {"tabor": tabor}
     return found | {"tabor": tabor} | _of_jkr(cons, values, tabor, E_star, R, tip, orders)
 
 
