@@ -338,30 +338,292 @@ def inside(some: Outcomes, name: str) -> npt.NDArray[np.bool_]:
     return np.asarray((found[found >= 0] == 1) | (found[found >= 0] == 2))
 
 
-if __name__ == "__main__":
-    import sys, time
-    t = time.time()
-    n = int(sys.argv[1])
-    jobs = [(m, r, l, k) for m in MODELS for r in sys.argv[2].split(",") for l in LEVELS for k in range(n)]
-    jobs = [(m, {"n": NOISE_ONLY, "c": CALIBRATED}[r], l, k) for m, r, l, k in jobs]
-    with ProcessPoolExecutor(2) as pool:
-        futures = {j: pool.submit(inverted, *j) for j in jobs}
-        got = {j: f.result() for j, f in futures.items()}
-    print(time.time() - t)
-    import pickle
-    pickle.dump(got, open("/tmp/got.pkl", "wb"))
-    for m in MODELS:
-        for r in sys.argv[2].split(","):
-            r = {"n": NOISE_ONLY, "c": CALIBRATED}[r]
-            for l in (*LEVELS, None):
-                o = together([v for j, v in got.items() if j[0] == m and j[1] == r and (l is None or j[2] == l)])
-                line = [f"{m} {r} {l} n={o['status'].size} tried {o['tried'].mean():.2f} nocontact {(o['contact_probability']<.5).mean():.4f}"]
-                for name in MODELS[m]:
-                    b = bins_of(o, name); b = b[b >= 0]
-                    c = np.bincount(b, minlength=4)
-                    line.append(f"{name} {inside(o, name).mean():.3f} {c/b.size} p={chisquare(c, np.array(BINS)*b.size).pvalue:.3g}")
-                print("\n   ".join(line))
-                w = np.log(o[MODELS[m][0]+"_upper"]/o[MODELS[m][0]+"_lower"])
-                g = w < NARROW
-                ratio = w/(2*NINETY*o["limit"])
-                print("    limit", g.sum(), np.nanmedian(ratio[g]), np.nanmedian(ratio))
+# 90 % of the truths should be inside; of how many of 2000 they are, 0.7 % are chance
+
+
+class Row(NamedTuple):
+    """A number of the page."""
+
+    model: str
+    run: str
+    noise: str
+    """Of A0 in pm, or all."""
+    part: str
+    """Which draws: all with an interval, determined, not determined."""
+    quantity: str
+    number: str
+    value: float
+    draws: int
+    """That it was taken over."""
+
+
+ALL, SURE, UNSURE = "all", "determined", "not determined"
+SHARES = ("below 5 %", "5 to 50 %", "50 to 95 %", "above 95 %")
+
+
+def rows_of(model: str, run: str, outcomes: Outcomes) -> list[Row]:
+    """Return the numbers of a model and a run."""
+    rows = []
+    for noise, some in by_noise(outcomes).items():
+
+        def add(part: str, quantity: str, number: str, values: Any, noise: str = noise) -> None:
+            array = np.atleast_1d(np.asarray(values, dtype=float))
+            value = float(f"{array.mean():.5g}") if array.size else math.nan
+            rows.append(Row(model, run, noise, part, quantity, number, value, array.size))
+
+        elastic, status = MODELS[model][0], some["status"]
+        add(ALL, "", "states recorded", 1.0 / some["tried"])
+        add(ALL, "", "contact the more likely", some["contact_probability"] >= 0.5)
+        for number, code in (("poor fit", POOR_FIT), ("no contact", NO_CONTACT), (UNSURE, NOT_DETERMINED)):
+            add(ALL, "", number, status == code)
+        for name in MODELS[model]:
+            bins, sure = bins_of(some, name), np.isfinite(some[name])
+            add(ALL, name, SURE, sure)
+            for part, which in ((ALL, bins >= 0), (SURE, (bins >= 0) & sure), (UNSURE, (bins >= 0) & ~sure)):
+                add(part, name, "covered", (bins[which] == 1) | (bins[which] == 2))
+            found = bins[bins >= 0]
+            for k, share in enumerate(SHARES):
+                add(ALL, name, share, found == k)
+            counts = np.bincount(found, minlength=4)
+            add(ALL, name, "p", chisquare(counts, np.array(BINS) * found.size).pvalue)
+        for part, which in ((ALL, bins_of(some, elastic) >= 0), (SURE, status == DETERMINED)):
+            off = np.abs(np.log(some[f"{elastic}_unscreened"] / some[f"true_{elastic}"]))[which]
+            add(part, elastic, "median error", np.median(off) if off.size else [])
+        if "limit" in some:
+            width = np.log(some[f"{elastic}_upper"] / some[f"{elastic}_lower"])
+            near = (bins_of(some, elastic) >= 0) & (width < NARROW)
+            ratio = (width / (2.0 * NINETY * some["limit"]))[near]
+            add(ALL, elastic, "width over limit", np.median(ratio) if ratio.size else [])
+            add(ALL, elastic, "near a Gaussian", near)
+        if "exact status" in some:
+            _add_others(some, add)
+    return rows
+
+
+def by_noise(outcomes: Outcomes) -> dict[str, Outcomes]:
+    """Return outcomes by noise of A0 [pm], and all of them."""
+    parts = {
+        f"{1e12 * level:.0f}": {name: column[outcomes["level"] == level] for name, column in outcomes.items()}
+        for level in LEVELS
+    }
+    return {**parts, ALL: outcomes}
+
+
+def _add_others(some: Outcomes, add: Any) -> None:
+    """Add what other methods make of the modulus of the same draws."""
+    truth, told = np.log(some["true_modulus"]), some["status"] == DETERMINED
+    for method in ("least-squares", "exact"):
+        value = np.log(some[f"{method} modulus_unscreened"])
+        found, sure = np.isfinite(value), some[f"{method} status"] == DETERMINED
+        name = f"modulus by {method}"
+        add(ALL, name, "answer", found)
+        add(ALL, name, SURE, sure)
+        for part, which in ((ALL, found), (SURE, found & sure), ("determined by posterior", found & told)):
+            off = np.abs(value - truth)[which]
+            add(part, name, "median error", np.median(off) if off.size else [])
+            if method == "exact":
+                inside = off < NINETY * some["exact uncertainty"][which]
+            else:
+                low, high = (np.log(some[f"{method} modulus_{end}"])[which] for end in ("lower", "upper"))
+                inside = (low <= truth[which]) & (truth[which] <= high)
+            add(part, name, "covered", inside)
+        if method == "least-squares":
+            close = found & (some[f"{method} residual"] < 0.1)
+            add(ALL, name, "N_r < 0.1", close)
+            off = np.abs(value - truth)[close]
+            add("N_r < 0.1", name, "median error", np.median(off) if off.size else [])
+            add("N_r < 0.1", name, "off by more than 2", off > math.log(2.0))
+    for part, which in ((ALL, bins_of(some, "modulus") >= 0), (SURE, told)):
+        off = np.abs(np.log(some["modulus_unscreened"]) - truth)[which]
+        add(part, "modulus", "off by more than 2", off > math.log(2.0))
+
+
+def write_table(rows: Sequence[Row], path: Path) -> None:
+    """Write the numbers as text that a spreadsheet can read."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        csv.writer(file, lineterminator="\n").writerows([Row._fields, *rows])
+
+
+def read_table(path: Path) -> list[Row]:
+    """Return what `write_table` wrote."""
+    with path.open(newline="", encoding="utf-8") as file:
+        lines = list(csv.reader(file))[1:]
+    return [Row(*line[:6], float(line[6]), int(line[7])) for line in lines]
+
+
+# --- page -------------------------------------------------------------------------------------------------------
+
+TITLES = {
+    "modulus": "modulus",
+    "stiffness": "stiffness",
+    "adhesion": "adhesion",
+    "indentation": "indentation",
+    "viscosity": "viscosity",
+    "damping": "damping",
+    "loss_tangent": "loss tangent",
+}
+COLUMNS = (("modulus", "stiffness"), ("adhesion",), ("indentation",), LOSSES, ("loss_tangent",))
+HEADS = ("modulus or stiffness", "adhesion", "indentation", "viscosity or damping", "loss tangent")
+
+
+class Numbers:
+    """Numbers of the page by what they are of."""
+
+    def __init__(self, rows: Sequence[Row]) -> None:
+        self.rows = {row[:6]: row for row in rows}
+
+    def row(self, model: str, run: str, quantity: str, number: str, noise: str = ALL, part: str = ALL) -> Row:
+        """Return one."""
+        return self.rows[model, run, noise, part, quantity, number]
+
+    def percent(self, *key: str, digits: int = 0, **where: str) -> str:
+        """Return a share [%], a dash where there is none."""
+        value = self.row(*key, **where).value
+        return f"{100 * value:.{digits}f}" if math.isfinite(value) else "-"
+
+    def covered(self, model: str, run: str, quantity: str, **where: str) -> str:
+        """Return coverage and its binomial error [%], a dash of fewer than 20 draws."""
+        row = self.row(model, run, quantity, "covered", **where)
+        return f"{100 * row.value:.1f} +- {100 * binomial(row.draws):.1f}" if row.draws >= 20 else "-"
+
+
+def binomial(draws: int) -> float:
+    """Return the standard error of a coverage of 90 %."""
+    return math.sqrt(0.09 / draws)
+
+
+def names_in_columns(model: str) -> list[str | None]:
+    """Return which quantity of a model stands in each column."""
+    return [next((n for n in names if n in MODELS[model]), None) for names in COLUMNS]
+
+
+def lines_of(head: Sequence[str], body: Iterable[Sequence[str]]) -> str:
+    """Return a table in Markdown."""
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in (head, ["---"] * len(head), *body))
+
+
+def coverage_table(numbers: Numbers, run: str) -> str:
+    """Return what 90 % intervals hold, by model and noise."""
+    body = []
+    for model in MODELS:
+        for noise in (*(f"{1e12 * level:.0f}" for level in LEVELS), ALL):
+            draws = numbers.row(model, run, MODELS[model][0], "covered", noise=noise).draws
+            cells = [
+                numbers.covered(model, run, name, noise=noise) if name else "" for name in names_in_columns(model)
+            ]
+            body.append([model, noise, str(draws), *cells])
+    return lines_of(["model", "noise of A0 [pm]", "draws", *HEADS], body)
+
+
+def parts_table(numbers: Numbers, run: str) -> str:
+    """Return what intervals hold of determined quantities and of the others."""
+    body = []
+    for model in MODELS:
+        for part in (SURE, UNSURE):
+            cells = []
+            for name in names_in_columns(model):
+                if name is None:
+                    cells.append("")
+                    continue
+                row = numbers.row(model, run, name, "covered", part=part)
+                cells.append(f"{numbers.covered(model, run, name, part=part)} ({row.draws})")
+            body.append([model, part, *cells])
+    return lines_of(["model", "draws that are", *HEADS], body)
+
+
+def bins_table(numbers: Numbers) -> str:
+    """Return shares of truths between the quantiles, and how likely chance makes them as uneven."""
+    body = []
+    for model, names in MODELS.items():
+        for name in names:
+            cells = [model, TITLES[name]]
+            for run in (NOISE_ONLY, CALIBRATED):
+                shares = [numbers.percent(model, run, name, share, digits=1) for share in SHARES]
+                cells += [", ".join(shares), f"{numbers.row(model, run, name, 'p').value:.2g}"]
+            body.append(cells)
+    head = ["model", "quantity"]
+    for run in (NOISE_ONLY, CALIBRATED):
+        head += [f"{run}: truths in the four bins [%]", "p"]
+    return lines_of(head, body)
+
+
+def limit_table(numbers: Numbers) -> str:
+    """Return widths over the information limit."""
+    body = []
+    for model, names in MODELS.items():
+        cells = [model]
+        for run in (NOISE_ONLY, CALIBRATED):
+            row = numbers.row(model, run, names[0], "width over limit")
+            near = numbers.row(model, run, names[0], "near a Gaussian")
+            cells += [f"{row.value:.2f}", f"{round(near.value * near.draws)}"]
+        body.append(cells)
+    return lines_of(
+        ["model", *(h for run in (NOISE_ONLY, CALIBRATED) for h in (f"{run}: ratio", "draws"))], body
+    )
+
+
+def misstated_table(numbers: Numbers) -> str:
+    """Return what intervals hold where the inversion is told something wrong, and what warns of it."""
+    body = []
+    for model in MODELS:
+        for run in (NOISE_ONLY, QUIET, STIFF, BLUNT):
+            cells = [numbers.covered(model, run, name) if name else "" for name in names_in_columns(model)]
+            sure = numbers.covered(model, run, MODELS[model][0], part=SURE)
+            body.append(
+                [
+                    model,
+                    "nothing" if run == NOISE_ONLY else run,
+                    *cells,
+                    sure,
+                    numbers.percent(model, run, "", "poor fit", digits=1),
+                    numbers.percent(model, run, MODELS[model][0], SURE, digits=1),
+                ]
+            )
+    head = ["model", "wrong", *HEADS, "modulus or stiffness where determined", "poor fit [%]", "determined [%]"]
+    return lines_of(head, body)
+
+
+def methods_table(numbers: Numbers) -> str:
+    """Return medians, least squares and exact solutions on the same draws."""
+    body = []
+    for model in COMPARED:
+        for method, name in (
+            ("posterior", "modulus"),
+            ("least-squares", "modulus by least-squares"),
+            ("exact", "modulus by exact"),
+        ):
+
+            def error(part: str, name: str = name, model: str = model) -> str:
+                row = numbers.row(model, NOISE_ONLY, name, "median error", part=part)
+                return f"{row.value:.2f}" if math.isfinite(row.value) else "-"
+
+            answers = (
+                numbers.percent(model, NOISE_ONLY, "", "contact the more likely")
+                if method == "posterior"
+                else numbers.percent(model, NOISE_ONLY, name, "answer")
+            )
+            body.append(
+                [
+                    model,
+                    method,
+                    answers,
+                    error(ALL),
+                    numbers.percent(model, NOISE_ONLY, name, SURE),
+                    error(SURE),
+                    error(SURE if method == "posterior" else "determined by posterior"),
+                    numbers.covered(model, NOISE_ONLY, name),
+                    numbers.covered(model, NOISE_ONLY, name, part=SURE),
+                ]
+            )
+    head = [
+        "model",
+        "method",
+        "answers [%]",
+        "median abs ln(E/E_true) of all",
+        "determined by its own account [%]",
+        "of these",
+        "of those that the posterior determines",
+        "its own 90 % range holds E, all [%]",
+        "determined [%]",
+    ]
+    return lines_of(head, body)

@@ -45,7 +45,7 @@ _QUANTITIES = (
     Quantity("gap", "D", "m", "closest gap in a cycle, negative in contact", "force"),
     Quantity("force", "F", "N", "force between tip and sample, from A1 and phi1", "force"),
     Quantity("force_mean", "F", "N", "force between tip and sample, from A0", "force"),
-    Quantity("damping", "Gamma", "N s/m", "damping coefficient of a force -Gamma d'", "force"),
+    Quantity("damping", "Gamma", "N s/m", "damping coefficient of a force -Gamma d'", "property"),
     Quantity("truncation", "", "N", "about what a force that decays beyond the far end would add", "quality"),
     Quantity(
         "closure", "", "1", "share of CONS_1 that the force on its motion leaves unexplained", "quality"
@@ -59,9 +59,8 @@ _QUANTITIES = (
     Quantity("adhesion", "F_ad", "N", "force of adhesion", "property"),
     Quantity("indentation", "delta_max", "m", "maximum indentation in a cycle", "property"),
     Quantity("viscosity", "eta", "Pa s", "viscosity of the contact", "property"),
-    Quantity("loss_tangent", "tan delta", "1", "loss tangent of the contact, w eta/(2 E*)", "property"),
+    Quantity("loss_tangent", "", "1", "loss tangent of the contact, w eta/(2 E*)", "property"),
     Quantity("stiffness", "k_s", "N/m", "stiffness of the sample", "property"),
-    Quantity("damping", "c_s", "N s/m", "damping of the sample", "property"),
     Quantity("prefactor", "C", "N/m^p", "force at unit indentation", "property"),
     Quantity("residual", "N_r", "1", "relative residual norm of the force harmonics", "quality"),
     Quantity("misfit", "chi2", "1", "smallest chi-squared of the model, against the stated noise", "quality"),
@@ -106,7 +105,7 @@ _QUANTITIES = (
     Quantity(
         "relative_indentation", "delta_max/R", "1", "maximum indentation over the tip radius", "quality"
     ),
-    Quantity("tabor", "mu", "1", "Tabor parameter: below 0.1 DMT applies, above 5 JKR", "quality"),
+    Quantity("tabor", "", "1", "Tabor parameter: below 0.1 DMT applies, above 5 JKR", "quality"),
     Quantity(
         "modulus_jkr",
         "E_JKR",
@@ -121,7 +120,7 @@ _QUANTITIES = (
         "force of adhesion if the contact is JKR, from the same harmonics",
         "quality",
     ),
-    Quantity("model_difference", "ln(E_JKR/E)", "1", "ln of the JKR modulus over the DMT modulus", "quality"),
+    Quantity("model_difference", "", "1", "ln of the JKR modulus over the DMT modulus", "quality"),
     Quantity("reference", "", "1", "whether a pixel was taken as the reference material", "quality"),
     Quantity("status", "", "1", "what this pixel can be trusted for", "quality"),
 )

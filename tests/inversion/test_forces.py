@@ -173,7 +173,7 @@ def test_the_lever_of_low_quality_would_be_misread_without() -> None:
 
 @pytest.mark.parametrize("key", PROBES)
 def test_errors_are_the_derivatives_by_each_reading(key: str) -> None:
-    """One column an error, signs included; under a shaken base to a part of 1/Q, by which the turn moves along."""
+    """One column an error, signs included; into the phase of the tip by the turn of the reading itself."""
     probe = PROBES[key]
     observables = random_readings(25, seed=2)
     errors = forces(observables, probe).errors
@@ -183,7 +183,9 @@ def test_errors_are_the_derivatives_by_each_reading(key: str) -> None:
     sources += [(5 + n, f"phi{n}", NOISE[f"A{n}"] / observables[f"A{n}"]) for n in (2, 3)]
     for column, name, sigma in sources:
         step = 1e-3 * sigma
-        up, down = (plain(observables.assign({name: observables[name] + way * step}), probe) for way in (1, -1))
+        up, down = (
+            plain(observables.assign({name: observables[name] + way * step}), probe) for way in (1, -1)
+        )
         want = (up - down) / 2e-3 * turn
         size = np.abs(want).max()
         np.testing.assert_allclose(errors[:, :, column], want, rtol=1e-5, atol=1e-6 * size, err_msg=name)
@@ -191,13 +193,27 @@ def test_errors_are_the_derivatives_by_each_reading(key: str) -> None:
     assert not errors[:, :, 5:7].any()
 
 
+@pytest.mark.parametrize(("key", "part"), [("shaken base", 0.02), ("shaken base, low Q", 0.2)])
+def test_what_an_error_does_to_the_turn_is_left_out(key: str, part: float) -> None:
+    """A share of about 4/Q of the error of each force, under a shaken base; nothing under a force at the tip."""
+    probe = PROBES[key]
+    observables = random_readings(100, seed=2)
+    errors = forces(observables, probe).errors
+    size = np.sqrt((np.abs(errors) ** 2).sum(axis=2))
+    for column, name in ((0, "phi1"), (2, "A1")):
+        step = 1e-3 * NOISE[name]
+        up, down = (
+            forces(observables.assign({name: observables[name] + way * step}), probe).f for way in (1, -1)
+        )
+        off = np.abs((up - down) / 2e-3 - errors[:, :, column]) / size
+        assert 0.1 * part < off.max() < part
+
+
 def test_a_stated_phase_counts_instead_of_the_amplitude() -> None:
     observables = random_readings(10, seed=3)
     errors = forces(observables, single(), {**NOISE, "phi2": 0.02}).errors
     by_amplitude = np.abs(errors[:, 2, 3]) / NOISE["A2"]
-    np.testing.assert_allclose(
-        np.abs(errors[:, 2, 7]), 0.02 * observables["A2"] * by_amplitude, rtol=1e-12
-    )
+    np.testing.assert_allclose(np.abs(errors[:, 2, 7]), 0.02 * observables["A2"] * by_amplitude, rtol=1e-12)
 
 
 def rowed(
@@ -229,7 +245,9 @@ def test_whitening_makes_errors_independent() -> None:
     rows = rows_of((0, 1, 2, 3), (1, 2))[0]
     _, W, usable = rowed(block, rows)
     assert usable.all()
-    parts = np.where(rows.lossy[:, None], -block.errors[:, rows.harmonics].imag, block.errors[:, rows.harmonics].real)
+    parts = np.where(
+        rows.lossy[:, None], -block.errors[:, rows.harmonics].imag, block.errors[:, rows.harmonics].real
+    )
     white = np.einsum("pij,pjs->pis", W, parts)
     np.testing.assert_allclose(
         np.einsum("pis,pjs->pij", white, white), np.broadcast_to(np.eye(6), (30, 6, 6)), atol=1e-4

@@ -88,7 +88,13 @@ def scan() -> tuple[xr.Dataset, xr.Dataset]:
 
 
 def mapped(corrected: xr.Dataset, **arguments: Any) -> xr.Dataset:
-    asked: dict[str, Any] = {"method": "least-squares", "model": "dmt", "poisson_ratio": 0.35, "harmonics": (1, 2, 3), "noise": NOISE}
+    asked: dict[str, Any] = {
+        "method": "least-squares",
+        "model": "dmt",
+        "poisson_ratio": 0.35,
+        "harmonics": (1, 2, 3),
+        "noise": NOISE,
+    }
     return map_properties(corrected, probe_of(corrected), **asked | arguments)
 
 

@@ -24,9 +24,7 @@ ORDERS = np.array([0, 1, 2, 3, 2])
 
 def columns(model: str) -> Columns:
     record = contact_model(model)
-    return columns_of(
-        record, PROBE, {q.name: GIVEN[q.name] for q in record.given if q.name in GIVEN}
-    )
+    return columns_of(record, PROBE, {q.name: GIVEN[q.name] for q in record.given if q.name in GIVEN})
 
 
 def by_the_table(

@@ -367,10 +367,17 @@ def _orders(observables: Any, asked: _Request) -> tuple[int, ...] | None:
     from overtone.inversion.properties import HARMONIC_SETS, harmonics_for
     from overtone.quantities import harmonic_orders
 
+    measured = set(harmonic_orders(observables))
     if asked.harmonics is not None:
+        missing = sorted(set(asked.harmonics) - measured)
+        if missing:
+            raise OvertoneError(
+                f"harmonic {missing[0]} was not measured",
+                expected=f"some of {', '.join(map(str, sorted(measured)))}",
+                got=f"--harmonics {','.join(map(str, asked.harmonics))}",
+            )
         return asked.harmonics
     if asked.method == "least-squares":
-        measured = set(harmonic_orders(observables))
         return next((orders for orders in HARMONIC_SETS if set(orders) <= measured), None)
     try:
         return harmonics_for(observables, asked.model or "dmt", asked.method)

@@ -1,0 +1,1 @@
+"""What an experiment will tell, asked before it is made."""
