@@ -114,9 +114,18 @@ def test_out_of_range_is_not_a_number() -> None:
     np.testing.assert_array_equal(np.isnan(b).all(axis=1), ~known)
 
 
-def test_absurd_amplitudes_make_no_absurd_table() -> None:
+@pytest.mark.parametrize("odd", [1e-15, 1e-3])
+def test_absurd_amplitudes_cost_neither_memory_nor_their_neighbours(odd: float) -> None:
     """A dead pixel of 1e-15 m or a saturated one of 1 mm beside an ordinary scan."""
-    for odd in (1e-15, 1e-3):
-        table = table_of(columns("hertz"), np.array([40e-9, 41e-9, odd, math.nan, 0.0]), 3)
-        assert table.elastic.shape[0] < 10
+    of = columns("dmt")
+    amplitude, t = np.array([40e-9, 41e-9]), np.array([-3.0, -2.0])
+    alone = by_the_table(of, t, amplitude)
+    others = np.array([40e-9, 41e-9, odd, math.nan, 0.0])
+    assert table_of(of, others, 3).elastic.shape[0] < 10
+    among = by_the_table(of, t, amplitude, others)
+    np.testing.assert_array_equal(among[0], alone[0])
+    np.testing.assert_array_equal(among[1], alone[1])
+
+
+def test_no_amplitude_at_all_makes_a_table_too() -> None:
     assert table_of(columns("hertz"), np.array([math.nan, 0.0]), 3).elastic.shape[0] >= 1

@@ -55,6 +55,9 @@ _POLISHED = 3e-5  # a step of Newton's method this short leaves its square
 _CLEARLY = 1e-3  # share of the forces by which adhesion may be negative before a root is polished
 _NEARLY = 0.05  # a minimum this close to zero, beside its neighbour, may be two roots
 _STEPS = 12
+_MOST_STEPS = 100
+_CANDIDATES = 16
+_COARSE = 4  # stride where only the closest one within bounds is wanted
 _GOLDEN = 0.3819660112501051
 _GAPS = 60
 _EVEN = 0.02
@@ -207,7 +210,7 @@ def _between(g: _Floats, k: int) -> float:
     return x
 
 
-@inner
+@inlined
 def _keep(solutions: _Floats, count: int, S: float, F: float, c: float, delta: float) -> int:
     """Add a solution, deepest last, unless it is there already; return how many there are."""
     if count == MOST:
@@ -220,7 +223,7 @@ def _keep(solutions: _Floats, count: int, S: float, F: float, c: float, delta: f
     return count + 1
 
 
-@inner
+@inlined
 def _root(
     t: float,
     y: _Floats,
@@ -308,7 +311,7 @@ def _left(y: _Floats, shifts: _Floats, lagrange: _Floats, k: int, out: _Floats) 
             out[r] -= lagrange[j, k] * shifts[j, r]
 
 
-@inner
+@inlined
 def _roots(
     y: _Floats,
     amplitude: float,
@@ -325,6 +328,8 @@ def _roots(
     g: _Floats,
     marks: npt.NDArray[np.uint8],
     words: npt.NDArray[np.uint64],
+    near: _Floats,
+    nodes: _Orders,
     s: Scratch,
     there: _Floats,
     solutions: _Floats,
@@ -353,32 +358,16 @@ def _roots(
         before, here, after = g[k - 1], g[k], g[k + 1]
         turned = (abs(here) < abs(before)) & (abs(here) <= abs(after)) & (before * here > 0.0)
         marks[k] = (here * after <= 0.0) | turned
-    count = 0
+    found = 0
     for word in range(words.shape[0]):
         if words[word] == 0:
             continue
         for k in range(8 * word, 8 * word + 8):
-            if marks[k] == 0:
+            if marks[k] == 0 or found > near.shape[0] - 2:
                 continue
             if (g[k] > 0.0) != (g[k + 1] > 0.0):
-                t = SHALLOWEST + STEP * (k + _between(g, k))
-                _left(y, shifts, lagrange, k, there)
-                count = _root(
-                    t,
-                    there,
-                    amplitude,
-                    columns,
-                    table,
-                    slot,
-                    share,
-                    scale,
-                    orders,
-                    W,
-                    s,
-                    solutions,
-                    spreads,
-                    count,
-                )
+                near[found], nodes[found] = SHALLOWEST + STEP * (k + _between(g, k)), k
+                found += 1
                 continue
             # a parabola through three nodes says whether it dips through zero between them, or nearly
             bend = g[k - 1] - 2.0 * g[k] + g[k + 1]
@@ -388,30 +377,33 @@ def _roots(
             lowest = g[k] - 0.5 * tilt * tilt / bend
             if (lowest > 0.0) == (g[k] > 0.0) and abs(lowest) > _NEARLY * abs(g[k]):
                 continue
-            apart_ = math.sqrt(abs(2.0 * lowest / bend)) + 1e-3
+            aside = math.sqrt(abs(2.0 * lowest / bend)) + 1e-3
             for way in (-1.0, 1.0):
-                t = SHALLOWEST + STEP * (k - tilt / bend + way * apart_)
-                _left(y, shifts, lagrange, k, there)
-                count = _root(
-                    t,
-                    there,
-                    amplitude,
-                    columns,
-                    table,
-                    slot,
-                    share,
-                    scale,
-                    orders,
-                    W,
-                    s,
-                    solutions,
-                    spreads,
-                    count,
-                )
+                near[found], nodes[found] = SHALLOWEST + STEP * (k - tilt / bend + way * aside), k
+                found += 1
+    count = 0
+    for j in range(found):
+        _left(y, shifts, lagrange, nodes[j], there)
+        count = _root(
+            near[j],
+            there,
+            amplitude,
+            columns,
+            table,
+            slot,
+            share,
+            scale,
+            orders,
+            W,
+            s,
+            solutions,
+            spreads,
+            count,
+        )
     return count
 
 
-@inner
+@inlined
 def _bounded_tabulated(
     table: Table,
     slot: int,
@@ -453,18 +445,29 @@ def lowest_between(
     Derivatives jump where a bound begins to hold, so none are used.
     """
     x1, x2 = low + _GOLDEN * (high - low), high - _GOLDEN * (high - low)
-    f1 = _bounded_tabulated(table, slot, share, scale, x1, orders, lossy, W, sticky, loss, box, s)
-    f2 = _bounded_tabulated(table, slot, share, scale, x2, orders, lossy, W, sticky, loss, box, s)
-    # a narrow valley goes on until both sides are as good: chi-squared counts in units of the noise
-    while high - low > width or (abs(f1 - f2) > _EVEN and high - low > _NARROWEST):
-        if f1 < f2:
+    f1, f2 = math.inf, math.inf
+    first = True  # which of the two is new
+    for step in range(_MOST_STEPS):
+        value = _bounded_tabulated(
+            table, slot, share, scale, x1 if first else x2, orders, lossy, W, sticky, loss, box, s
+        )
+        if first:
+            f1 = value
+        else:
+            f2 = value
+        if step == 0:
+            first = False
+            continue
+        # a narrow valley goes on until both sides are as good: chi-squared counts in units of the noise
+        if high - low <= width and (abs(f1 - f2) <= _EVEN or high - low <= _NARROWEST):
+            break
+        first = f1 < f2
+        if first:
             high, x2, f2 = x2, x1, f1
             x1 = low + _GOLDEN * (high - low)
-            f1 = _bounded_tabulated(table, slot, share, scale, x1, orders, lossy, W, sticky, loss, box, s)
         else:
             low, x1, f1 = x1, x2, f2
             x2 = high - _GOLDEN * (high - low)
-            f2 = _bounded_tabulated(table, slot, share, scale, x2, orders, lossy, W, sticky, loss, box, s)
     return (x1, f1) if f1 < f2 else (x2, f2)
 
 
@@ -519,15 +522,16 @@ def _least_squares(
     Returns how many, the least chi-squared within bounds, and the spread of S there.
     """
     sticky, loss = adhesive(columns), columns.loss > 0.0
-    nodes = (NODES - 1) // _STRIDE + 1
-    least = scan_valley(table, slot, share, scale, orders, lossy, W, sticky, loss, box, s, _STRIDE, bounded)
+    stride = _COARSE if only_bounded else _STRIDE
+    nodes = (NODES - 1) // stride + 1
+    least = scan_valley(table, slot, share, scale, orders, lossy, W, sticky, loss, box, s, stride, bounded)
     count = 0
     if not only_bounded:
         chi2 = np.empty(MOST)
         for k in range(1, nodes - 1):
             if not (bounded[k] <= bounded[k - 1] and bounded[k] < bounded[k + 1]):
                 continue
-            low, high = SHALLOWEST + STEP * _STRIDE * (k - 1), SHALLOWEST + STEP * _STRIDE * (k + 1)
+            low, high = SHALLOWEST + STEP * stride * (k - 1), SHALLOWEST + STEP * stride * (k + 1)
             near, _ = lowest_between(
                 table, slot, share, scale, low, high, 1e-3, orders, lossy, W, sticky, loss, box, s
             )
@@ -561,10 +565,10 @@ def _least_squares(
         count = kept
         if count > 0:
             return count, lowest, spreads[count - 1]
-    low = SHALLOWEST + STEP * _STRIDE * max(least - 1, 0)
-    high = min(SHALLOWEST + STEP * _STRIDE * (least + 1), DEEPEST)
+    low = SHALLOWEST + STEP * stride * max(least - 1, 0)
+    high = min(SHALLOWEST + STEP * stride * (least + 1), DEEPEST)
     near, _ = lowest_between(
-        table, slot, share, scale, low, high, 1e-5, orders, lossy, W, sticky, loss, box, s
+        table, slot, share, scale, low, high, 1e-3, orders, lossy, W, sticky, loss, box, s
     )
     _, _, spread = polish(columns, amplitude, near, near, near, orders, lossy, W, sticky, 1, s, slope)
     chi2_least = _bounded_at(columns, amplitude, near, orders, lossy, W, sticky, loss, box, s, best)
@@ -746,6 +750,7 @@ def solve_pixels(
     slope, g = np.empty(rows), np.empty(NODES)
     marks = np.zeros(8 * ((NODES + 7) // 8), np.uint8)
     words = marks.view(np.uint64)
+    near, nodes_near = np.empty(_CANDIDATES), np.empty(_CANDIDATES, np.int64)
     nodes = (NODES - 1) // _STRIDE + 1
     bounded = np.empty(nodes)
     one = np.empty(4)
@@ -760,7 +765,7 @@ def solve_pixels(
             count[i] = OUTSIDE
             continue
         W = whitening[min(i, whitening.shape[0] - 1)]
-        scale = A**table.power
+        scale = A * math.sqrt(A) if table.power == 1.5 else A**table.power
         whiten(W, y[i], s.first)
         for j in range(places):
             whiten(W, shifts[i, j], s.shifts[j])
@@ -786,6 +791,8 @@ def solve_pixels(
                 g,
                 marks,
                 words,
+                near,
+                nodes_near,
                 s,
                 there,
                 solutions[i],

@@ -42,14 +42,15 @@ _Complex = npt.NDArray[np.complex128]
 
 FEW, MANY = 10, 20
 """Harmonics of the motion that are followed, along the valley and at a solution."""
-COARSE, FINE = 12, 16
-"""Nodes of a piece of the motion, with few harmonics and with many: forces to 1e-6, and to 1e-7."""
+COARSE, FINE = 8, 12
+"""Nodes of a piece of the motion, with few harmonics and with many: forces to 1e-5, and to 1e-6."""
 _RULES = {n: np.polynomial.legendre.leggauss(n) for n in (COARSE, FINE)}
-_STILL = 1e-9  # last step of t
+_STILL = 1e-7  # last step of t; the next would be a tenth of it
 _NEARLY_STILL = 1e-4
 _SETTLING = 30
-_STEADY = 2  # times that the material is found again at the first t
-_FARTHEST = 3.0  # of all steps of t together
+_STEADY = 6  # times that the material is found again at one t, where care is taken
+_PATIENCE = 5  # steps after which they have to shrink
+_LONGEST, _FARTHEST = 0.5, 3.0  # of one step of t, and of all together
 _APART_PASSES = 3
 _STRIDE = 3
 _SHALLOW = 8  # node of that stride below which no place is: a contact so short that nothing changes any more
@@ -481,7 +482,7 @@ def settle(
     for r in range(rows):
         n_max = max(n_max, orders[r])
     s, room = new_scratch(rows, n_max, 0), new_room(followed)
-    slope, left = np.empty(rows), np.empty(rows)
+    slope, left, at_start = np.empty(rows), np.empty(rows), np.empty(4)
     sticky = adhesive(columns)
     for i in range(y.shape[0]):
         x = solution[i]
@@ -497,27 +498,39 @@ def settle(
                 x[DELTA_] = -x[DELTA_]
             continue
         Delta = 0.5 * x[DELTA_] / A
-        t = math.log(Delta / (1.0 - Delta))
-        start, before, share, rest = t, math.inf, 1.0, math.inf
-        for k in range(_SETTLING):
-            x[DELTA_] = 2.0 * A / (1.0 + math.exp(-t))
-            for _ in range(_STEADY if k == 0 else 1):
-                _rows_left(A, x, y[i], columns, followed, f_known[i], orders, lossy, room, left)
-                whiten(W, left, s.first)
-                there, m, spread[i] = polish(
-                    columns, A, t, SHALLOWEST, DEEPEST, orders, lossy, W, sticky, 1, s, slope
-                )
-                F = m.F0 + m.F1 * m.S
-                x[S_], x[F_], x[C_] = m.S, F, m.c0 + m.c1 * m.S + m.c2 * F
-            step = there - t
-            rest = abs(step)
-            if rest < _STILL or not math.isfinite(step):
+        start = math.log(Delta / (1.0 - Delta))
+        at_start[:] = x
+        done = False
+        for careful in range(2):
+            # first step by step; where that comes to no rest, by the secant, with the material at rest at every t
+            x[:] = at_start
+            room.b[:] = 0.0
+            t, rest, before, step_before = start, math.inf, start, 0.0
+            for k in range(_SETTLING):
+                x[DELTA_] = 2.0 * A / (1.0 + math.exp(-t))
+                there = t
+                for _ in range(_STEADY if careful else (2 if k == 0 else 1)):
+                    _rows_left(A, x, y[i], columns, followed, f_known[i], orders, lossy, room, left)
+                    whiten(W, left, s.first)
+                    there, m, spread[i] = polish(
+                        columns, A, t, SHALLOWEST, DEEPEST, orders, lossy, W, sticky, 1, s, slope
+                    )
+                    F = m.F0 + m.F1 * m.S
+                    x[S_], x[F_], x[C_] = m.S, F, m.c0 + m.c1 * m.S + m.c2 * F
+                step = there - t
+                ahead = step
+                if careful and k > 0 and step != step_before:
+                    ahead = min(max(-step * (t - before) / (step - step_before), -_LONGEST), _LONGEST)
+                worse = abs(step) > 0.8 * rest
+                rest = abs(step)
+                if rest < _STILL or not math.isfinite(step) or (k > _PATIENCE and worse):
+                    break
+                before, step_before = t, step
+                t = min(max(t + ahead, SHALLOWEST), DEEPEST)
+            done = rest < _NEARLY_STILL and physical(m) and abs(t - start) < _FARTHEST
+            if done:
                 break
-            t = min(max(t + share * step, SHALLOWEST), DEEPEST)
-            if rest > 0.7 * before:
-                share = max(0.5 * share, 0.1)
-            before = rest
-        if not (rest < _NEARLY_STILL and physical(m)) or abs(t - start) > _FARTHEST:
+        if not done:
             x[:] = math.nan
             spread[i] = math.nan
 

@@ -45,7 +45,7 @@ SUMMARIES = 5
 MEAN_, SPREAD_, EVIDENCE_, CONTACT_, MISFIT_ = 0, 1, 2, 3, 4
 """Summaries of an answer: mean and spread of ln of the first unknown, ln Z, probability of contact, chi-squared."""
 
-_STRIDE = 4  # of the table, in the first look at the valley
+_STRIDE = 6  # of the table, in the first look at the valley
 _REACH = 20.0  # of chi-squared beyond its least, where the sum over the indentation ends
 _INNER_REACH = 14.0
 _ACROSS, _MOST_ACROSS = 7, 31  # nodes along ln E at one indentation
@@ -57,7 +57,7 @@ _BINS = 160
 _GAP_NODES = 61
 _NEGLIGIBLE = 1e-6
 _PIECES = 8
-_PLACES = 4  # at which the difference that the harmonics of the motion make is found
+_PLACES = 3  # at which the difference that the harmonics of the motion make is found
 _BESIDE = 0.2
 _DECADES = 8.0  # of S tan(delta), below its largest
 _ROOT_2 = math.sqrt(2.0)

@@ -13,14 +13,14 @@ from overtone.contact.models import ContactModel
 from overtone.inversion import exact
 from overtone.inversion.columns import Columns, adhesive, unknowns_of
 from overtone.inversion.linear import sample_modulus, stiffness
-from overtone.inversion.motion import FEW, MANY, differences, follow, settle
+from overtone.inversion.motion import MANY, differences, follow, settle
 from overtone.inversion.pixels import Pixels, Setting
-from overtone.inversion.profile import CHI2_999
 from overtone.inversion.result import (
     DETERMINED,
     MISSING_DATA,
     NO_CONTACT,
     NO_SOLUTION,
+    NOT_CONVERGED,
     NOT_DETERMINED,
     POOR_FIT,
     SEVERAL_SOLUTIONS,
@@ -35,7 +35,7 @@ _Floats = npt.NDArray[np.float64]
 
 BLOCK = 2048
 _WIDEST = 1.0  # standard deviation of ln E that is still a determination
-_SAME = 1e-5  # relative difference of indentations below which two solutions are one
+_SAME = 2e-3  # relative difference of indentations below which two solutions are one
 _STRONGEST = 1e-6  # force of adhesion of the fallback [N]
 
 
@@ -91,6 +91,8 @@ def map_solutions(
     progress : callable, optional
         Called with (pixels done, pixels in all).
     """
+    from scipy.stats import chi2 as chi2_law
+
     names = [q.name for q in unknowns_of(record)]
     every = [*names, "indentation"] + (["loss_tangent"] if columns.loss > 0.0 else [])
     sheet.add(*every, *(f"{name}_unscreened" for name in every))
@@ -111,15 +113,18 @@ def map_solutions(
     cross = np.empty((table.elastic.shape[0] if square else 0, 3, NODES))
     if square:
         exact.fill_cross(table, rows.orders, cross)
-    along = follow(probe, setting.known, FEW if full_motion else 0)
-    at_solution = follow(probe, setting.known, MANY)
-    spare = max(rows.orders.size - len(names) - 1, 0)
+    followed = follow(probe, setting.known, MANY if full_motion else 0)
+    # chi-squared beyond noise (99.9 %)
+    limit = float(chi2_law.isf(1e-3, max(rows.orders.size - len(names) - 1, 1)))
 
     def run(block: slice) -> None:
         pixels = setting.pixels(block, 0.0)
         solutions, spreads, best, chi2, count = _solve(pixels)
+        before = count.copy()
         if full_motion:
-            _settle(pixels, solutions, spreads, count)
+            _settle(pixels, solutions, spreads, best, count)
+        lost = (before > 0) & ~np.isfinite(solutions[:, :, exact.DELTA_]).any(axis=1)
+        _sort(solutions, spreads, count)
         some = count > 0
         deepest = np.clip(count - 1, 0, exact.MOST - 1)
         chosen = np.take_along_axis(solutions, deepest[:, None, None], 1)[:, 0]
@@ -137,8 +142,8 @@ def map_solutions(
             status[usable & (count > 1)] = SEVERAL_SOLUTIONS
             status[usable & (count == 1) & apart] = NO_CONTACT
             status[usable & ~some] = NO_SOLUTION
-            # an overdetermined set may miss the data by more than noise
-            status[usable & some & (chi2 > CHI2_999 + max(spare - 1, 0) * 3.0)] = POOR_FIT
+            status[usable & (chi2 > limit)] = POOR_FIT
+            status[usable & lost] = NOT_CONVERGED
         sheet.put("status", block, status)
         sheet.put("solutions", block, np.where(usable, count, 0))
         sheet.put(
@@ -164,7 +169,7 @@ def map_solutions(
         )
         common = (pixels.y, pixels.whitening, pixels.amplitude, pixels.usable, columns, table)
         if full_motion:
-            differences(*common, rows.orders, rows.lossy, box, along, pixels.known, spans, shifts)
+            differences(*common, rows.orders, rows.lossy, box, followed, pixels.known, spans, shifts)
         solutions, spreads = np.empty((size, exact.MOST, 4)), np.empty((size, exact.MOST))
         best, chi2, count = np.empty((size, 4)), np.empty(size), np.empty(size, np.int8)
         exact.solve_pixels(
@@ -184,8 +189,15 @@ def map_solutions(
         )
         return solutions, spreads, best, chi2, count
 
-    def _settle(pixels: Pixels, solutions: _Floats, spreads: _Floats, count: npt.NDArray[np.int8]) -> None:
-        """Move every solution to the full motion; those that come to no rest, or to the same one, are none."""
+    def _settle(
+        pixels: Pixels, solutions: _Floats, spreads: _Floats, best: _Floats, count: npt.NDArray[np.int8]
+    ) -> None:
+        """Move every solution to the full motion; those that come to no rest, or to the same one, are none.
+
+        Where the bare cosine has none the closest one is moved: it may be a solution there.
+        """
+        none = (count == 0) & (best[:, exact.DELTA_] > 0.0)
+        solutions[none, 0], spreads[none, 0] = best[none], 1.0
         for k in range(exact.MOST):
             one, spread = np.ascontiguousarray(solutions[:, k]), np.ascontiguousarray(spreads[:, k])
             settle(
@@ -195,7 +207,7 @@ def map_solutions(
                 columns,
                 rows.orders,
                 rows.lossy,
-                at_solution,
+                followed,
                 pixels.known,
                 one,
                 spread,
@@ -206,10 +218,13 @@ def map_solutions(
                     again = np.abs(depth - solutions[:, j, exact.DELTA_]) < _SAME * np.abs(depth)
                 one[again] = math.nan
             solutions[:, k], spreads[:, k] = one, spread
-        # the deepest last, none beyond
-        order = np.argsort(
-            np.where(np.isnan(solutions[:, :, exact.DELTA_]), np.inf, solutions[:, :, exact.DELTA_])
-        )
+
+    def _sort(solutions: _Floats, spreads: _Floats, count: npt.NDArray[np.int8]) -> None:
+        """Drop what no sample under this tip can have, and put the deepest last, none beyond it."""
+        S, F = solutions[:, :, exact.S_], solutions[:, :, exact.F_]
+        solutions[(box.stiffest < S) | (F > _STRONGEST)] = math.nan
+        depth = solutions[:, :, exact.DELTA_]
+        order = np.argsort(np.where(np.isnan(depth), np.inf, depth), axis=1)
         solutions[:] = np.take_along_axis(solutions, order[:, :, None], 1)
         spreads[:] = np.take_along_axis(spreads, order, 1)
         found = np.isfinite(solutions[:, :, exact.DELTA_]).sum(axis=1)

@@ -21,6 +21,7 @@ _AS_GOOD = 1.1  # an interval wider by less counts as equal, and the gentler tap
 _DECIDES = 2.0  # ratio of standard deviations from which one part of the error decides
 _HUGE = 1e3  # a factor beyond says no more than that
 _DEEP = 1.0  # delta/R from which a paraboloid no longer describes a tip
+_AXES = {1: "free amplitudes", 2: "set-points"}
 _LAWS_WITH_TAIL = ("dmt", "dmt-linear", "dmt-viscous")
 
 
@@ -70,8 +71,9 @@ def best_choice(plan: xr.Dataset) -> Choice | None:
 
     Notes
     -----
-    Cells in which a stable attractive state has the same set-point count only where there are no others, those that do not
-    determine the unknown likewise. Of intervals within 10 % of the narrowest the one of least peak force is taken.
+    Cells in which a stable attractive state has the same set-point count only where there are no others; likewise those
+    that do not determine the unknown, and then those whose interval would miss it. Of intervals within 10 % of the
+    narrowest the one of least peak force is taken.
     """
     where = _best(plan, np.ones(_shape(plan), bool))
     if where is None:
@@ -160,7 +162,11 @@ def _values(plan: xr.Dataset, name: str) -> npt.NDArray[np.float64]:
 def _best(plan: xr.Dataset, among: npt.NDArray[np.bool_]) -> _Index | None:
     factor = _values(plan, "interval_factor")
     allowed = among & _values(plan, "stable").astype(bool) & np.isfinite(factor)
-    for better in (~_values(plan, "bistable").astype(bool), _values(plan, "status") == DETERMINED):
+    first, truth = elastic_of(plan), float(plan.attrs.get("elastic_true", math.nan))
+    with np.errstate(invalid="ignore"):
+        misses = (truth < _values(plan, f"{first}_lower")) | (truth > _values(plan, f"{first}_upper"))
+    alone, determined = ~_values(plan, "bistable").astype(bool), _values(plan, "status") == DETERMINED
+    for better in (alone, determined, ~misses):
         if (allowed & better).any():
             allowed &= better
     if not allowed.any():
@@ -190,7 +196,22 @@ def _sentences(plan: xr.Dataset, cell: xr.Dataset, where: _Index) -> list[str]:
     ]
     if others:
         said.append(f"At their best set-points: {'; '.join(_thinned(others))}.")
-    said += _about_states(plan, cell, where)
+    truth = float(plan.attrs.get("elastic_true", math.nan))
+    if truth < float(cell[f"{first}_lower"]) or truth > float(cell[f"{first}_upper"]):
+        said.append(
+            f"The interval misses the {first} of the sample, {format_quantity(truth, unit)}: with model "
+            f"{plan.attrs['model']} it will be biased."
+        )
+    edges = [
+        text
+        for axis, text in _AXES.items()
+        if plan.sizes[_dims(plan)[axis]] > 1 and _is_edge(plan, where, axis)
+    ]
+    if edges:
+        said.append(
+            f"It lies at the edge of the {' and of the '.join(edges)} asked for: there may be better beyond."
+        )
+    said += _about_states(plan, cell)
     return said + _about_contact(plan, cell)
 
 
@@ -222,13 +243,17 @@ def _errors(plan: xr.Dataset, cell: xr.Dataset) -> str:
     return f"{advice[0].upper()}{advice[1:]} ({sizes}; {plan.attrs['calibration_assumed']})."
 
 
-def _about_states(plan: xr.Dataset, cell: xr.Dataset, where: _Index) -> list[str]:
+def _is_edge(plan: xr.Dataset, where: _Index, axis: int) -> bool:
+    return where[axis] in (0, plan.sizes[_dims(plan)[axis]] - 1)
+
+
+def _about_states(plan: xr.Dataset, cell: xr.Dataset) -> list[str]:
     said = []
     reason, bistable = _values(plan, "reason"), _values(plan, "bistable").astype(bool)
     if bool(cell["bistable"]):
         said.append(
-            "A stable attractive state has the same set-point: a feedback that comes from far stays in it; go to a lower "
-            "set-point first, and watch that the phase stays on its side."
+            "A stable attractive state has the same set-point, and a feedback that comes from far stays in it: a "
+            "larger drive for a moment may bring it over, and the regime of the scan tells."
         )
     elif bistable.any():
         factor = _values(plan, "interval_factor")
@@ -257,8 +282,8 @@ def _about_contact(plan: xr.Dataset, cell: xr.Dataset) -> list[str]:
     said = []
     if "relative_indentation" in cell and float(cell["relative_indentation"]) > _DEEP:
         said.append(
-            f"The tip sinks in by {float(cell['relative_indentation']):.2g} of its radius: a paraboloid no longer describes "
-            "it."
+            f"The tip sinks in by {float(cell['relative_indentation']):.2g} of its radius: a paraboloid no longer "
+            "describes it."
         )
     if (
         "tabor" in cell

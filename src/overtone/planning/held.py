@@ -123,6 +123,6 @@ def _rises(probe: Probe, sample: Sample, setpoints: _Floats, orders: int) -> _Fl
     around = np.concatenate([setpoints - step, setpoints, setpoints + step])
     Z = hold_amplitude(probe, sample, setpoint=around, n_max=orders)["Z"].values.reshape(3, -1)
     with np.errstate(invalid="ignore"):
-        below, above = Z[1] - Z[0], Z[2] - Z[1]
+        step = np.diff(Z, axis=0)
         # next to an end of the branch one side is enough
-        return np.asarray((below > 0.0) | (above > 0.0)) & ~((below < 0.0) | (above < 0.0))
+        return np.asarray((step > 0.0).any(axis=0) & ~(step < 0.0).any(axis=0))

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from overtone.errors import CalibrationError, OvertoneError
+from overtone.errors import CalibrationError
 from overtone.instrument.calibration import Calibration
 from overtone.instrument.unknowns import LEVER, NAMES, NEUTRAL
 from overtone.probe import Probe
@@ -97,9 +97,19 @@ free amplitude A1far      5 %      1 %       0.3 %
 tip radius R              50 %     25 %      10 %
 ========================  =======  ========  =======
 
-They are assumptions of a plan, not measurements. A calibration on a reference leaves larger errors that are tied to each
-other and cancel in part; where there is one, plan with it instead of a word.
+They are assumptions of a plan, not measurements. A calibration on a reference leaves larger errors that are tied to
+each other and cancel in part; where there is one, plan with it instead of a word.
 """
+
+
+def _check(quality: str) -> None:
+    if quality not in QUALITIES:
+        raise CalibrationError(
+            "unknown quality of a calibration",
+            expected=", ".join(QUALITIES),
+            got=repr(quality),
+            hint='calibration="ordinary", or what overtone.calibrate returned',
+        )
 
 
 def assumed_calibration(quality: str, probe: Probe) -> Calibration | None:
@@ -117,13 +127,7 @@ def assumed_calibration(quality: str, probe: Probe) -> Calibration | None:
     CalibrationError
         If the word is not known.
     """
-    if quality not in QUALITIES:
-        raise CalibrationError(
-            "unknown quality of a calibration",
-            expected=", ".join(QUALITIES),
-            got=repr(quality),
-            hint='calibration="ordinary", or what overtone.calibrate returned',
-        )
+    _check(quality)
     errors = QUALITIES[quality]
     if not errors:
         return None
@@ -188,14 +192,13 @@ def described(calibration: Calibration | str | None) -> str:
 
     Raises
     ------
-    OvertoneError
-        If it is none.
+    CalibrationError
+        If the word is not known.
     """
     if isinstance(calibration, Calibration):
         return f"calibration {calibration.source or 'given'}"
     word = calibration or PERFECT
-    if word not in QUALITIES:
-        raise OvertoneError("unknown quality of a calibration", expected=", ".join(QUALITIES), got=repr(word))
+    _check(word)
     return (
         "no error that the whole scan shares, noise only"
         if word == PERFECT

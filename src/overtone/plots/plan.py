@@ -27,9 +27,21 @@ _WIDTH, _RATIO = 4.0, 0.8
 _MOST_COLUMNS = 3
 _FACTORS = (1.0, 100.0)  # of the colours: beyond a hundred nothing is known
 _CONTOURS = {2.0: "a factor of 2", 10.0: "a factor of 10: determined inside"}
-_STYLES = {2.0: "-", 10.0: "--"}
-_HATCH, _DOTS = "////", ".."
+_STYLES: dict[float, Any] = {2.0: "-", 10.0: "--"}
+_NOT_HELD: dict[str, Any] = {"facecolor": "0.92", "edgecolor": "0.3", "hatch": "/////", "linewidth": 0.0}
+_BISTABLE: dict[str, Any] = {
+    "marker": "o",
+    "color": "0.35",
+    "markerfacecolor": "white",
+    "markersize": 3.5,
+    "markeredgewidth": 0.7,
+}
 _BEST = "#d55e00"
+_POINTS: dict[str, dict[str, Any]] = {
+    "held": {"marker": "o", "color": PALETTE[0], "markersize": 4.0},
+    "bistable": {"marker": "o", "color": PALETTE[0], "markersize": 4.5, "markerfacecolor": "white"},
+    "not held": {"marker": "x", "color": "0.6", "markersize": 4.5},
+}
 _FEW = 2  # points along an axis below which a map would be a stripe
 
 
@@ -76,10 +88,7 @@ def plan_figure(plan: xr.Dataset, choice: Choice | None = None, heading: str = "
             of_lever = plan.sel(lever=block[k])
             mine = choice if choice is not None and choice.lever == block[k] else None
             prefix = f"{block[k]}: " if len(levers) > 1 else ""
-            set_title(
-                upper,
-                f"{prefix}{first}, width of the 90 % interval" if len(along) == 2 else f"{prefix}{first}",
-            )
+            set_title(upper, f"{prefix}{first}, 90 % interval")
             set_title(lower, f"{prefix}peak force")
             if len(along) == 2:
                 norm = LogNorm(*_FACTORS)
@@ -159,11 +168,12 @@ def _put_ticks(axes: Axes) -> None:
 def _draw_contours(axes: Axes, plan: xr.Dataset) -> None:
     """Draw where the interval spans a factor of 2 and of 10."""
     setpoints, amplitudes, _ = _grid(plan)
-    factor = plan["interval_factor"].transpose("setpoint", "free_amplitude").values
+    factor = plan["interval_factor"].where(plan["stable"]).transpose("setpoint", "free_amplitude").values
     known = np.isfinite(factor)
     for level, style in _STYLES.items():
         if (factor[known] < level).any() and (factor[known] > level).any():
-            logarithm = np.ma.masked_invalid(np.log(factor))
+            # beyond the colours all is one: far values would pull the lines
+            logarithm = np.ma.masked_invalid(np.log(np.minimum(factor, _FACTORS[1])))
             drawn = axes.contour(
                 amplitudes,
                 setpoints,
@@ -177,24 +187,17 @@ def _draw_contours(axes: Axes, plan: xr.Dataset) -> None:
 
 
 def _mark_states(axes: Axes, plan: xr.Dataset) -> None:
-    """Hatch cells that no feedback holds in a repulsive state, dot those with an attractive one beside it."""
+    """Hatch cells that no feedback holds in a repulsive state, mark those with an attractive one beside it."""
     setpoints, amplitudes, _ = _grid(plan)
     x, y = _edges(amplitudes), _edges(setpoints)
     held = plan["stable"].transpose("setpoint", "free_amplitude").values
-    two = plan["bistable"].transpose("setpoint", "free_amplitude").values
-    for where, hatch, gid in ((~held, _HATCH, "not held"), (two, _DOTS, "bistable")):
-        for i, j in np.argwhere(where):
-            cell = Rectangle(
-                (x[j], y[i]),
-                x[j + 1] - x[j],
-                y[i + 1] - y[i],
-                fill=False,
-                hatch=hatch,
-                edgecolor="0.25" if gid == "not held" else "0.45",
-                linewidth=0.0,
-            )
-            cell.set_gid(gid)
-            axes.add_patch(cell)
+    for i, j in np.argwhere(~held):
+        cell = Rectangle((x[j], y[i]), x[j + 1] - x[j], y[i + 1] - y[i], **_NOT_HELD)
+        cell.set_gid("not held")
+        axes.add_patch(cell)
+    rows, columns = np.nonzero(plan["bistable"].transpose("setpoint", "free_amplitude").values)
+    if rows.size:
+        axes.plot(amplitudes[columns], setpoints[rows], linestyle="", **_BISTABLE)[0].set_gid("bistable")
 
 
 def _mark_best(axes: Axes, plan: xr.Dataset, choice: Choice | None) -> None:
@@ -231,25 +234,23 @@ def _draw_interval(axes: Axes, plan: xr.Dataset, first: str, dim: str, choice: C
     """Draw median and interval of the elastic unknown."""
     x, label, factor = _abscissa(plan, dim)
     low, middle, high = (_line(plan, f"{first}{v}", dim) for v in ("_lower", "_unscreened", "_upper"))
-    held = _line(plan, "stable", dim).astype(bool)
+    held, two = (_line(plan, name, dim).astype(bool) for name in ("stable", "bistable"))
     known = np.isfinite(middle)
     unit = display_unit(float(np.median(middle[known])) if known.any() else 1.0, plan[first].attrs["units"])
     axes.set_yscale("log")
-    for shown, alpha in ((held, 1.0), (known & ~held, 0.35)):
+    for gid, shown in (("held", held & ~two), ("bistable", held & two), ("not held", ~held)):
         rows = np.flatnonzero(shown & known)
         errors = np.stack([middle[rows] - low[rows], high[rows] - middle[rows]]) * unit.factor
         bars = axes.errorbar(
             x[rows],
             middle[rows] * unit.factor,
             yerr=errors,
-            fmt="o",
-            color=PALETTE[0],
-            alpha=alpha,
-            markersize=4.0,
             capsize=2.5,
             linewidth=1.2,
+            linestyle="",
+            **_POINTS[gid],
         )
-        bars.lines[0].set_gid("held" if alpha == 1.0 else "not held")
+        bars.lines[0].set_gid(gid)
     if choice is not None:
         at = (choice.setpoint if dim == "setpoint" else choice.free_amplitude) * factor
         _star(axes, at, choice.median * unit.factor)
@@ -269,9 +270,13 @@ def _draw_curve(axes: Axes, plan: xr.Dataset, dim: str, unit: DisplayUnit, choic
     _put_ticks(axes)
 
 
+def _point(gid: str, text: str) -> Line2D:
+    return Line2D([], [], linestyle="", label=text, **_POINTS[gid])
+
+
 def _legend(figure: Figure, plan: xr.Dataset, choice: Choice | None, *, maps: bool) -> Legend | None:
     handles: list[Any] = []
-    factor = plan["interval_factor"].values
+    factor = plan["interval_factor"].where(plan["stable"]).values
     known = factor[np.isfinite(factor)]
     if maps:
         handles += [
@@ -279,51 +284,23 @@ def _legend(figure: Figure, plan: xr.Dataset, choice: Choice | None, *, maps: bo
             for level, text in _CONTOURS.items()
             if (known < level).any() and (known > level).any()
         ]
-        if not bool(plan["stable"].all()):
-            handles.append(
-                Patch(
-                    facecolor="white",
-                    edgecolor="0.25",
-                    hatch=_HATCH,
-                    linewidth=0.0,
-                    label="no stable repulsive state",
-                )
-            )
-        if bool(plan["bistable"].any()):
-            handles.append(
-                Patch(
-                    facecolor="white",
-                    edgecolor="0.45",
-                    hatch=_DOTS,
-                    linewidth=0.0,
-                    label="attractive state as well",
-                )
-            )
-    elif not bool(plan["stable"].all()):
+    if not bool(plan["stable"].all()):
+        text = "no stable repulsive state"
+        handles.append(Patch(**_NOT_HELD, label=text) if maps else _point("not held", text))
+    if bool(plan["bistable"].any()):
+        text = "attractive state as well"
         handles.append(
-            Line2D(
-                [], [], color=PALETTE[0], marker="o", linestyle="", alpha=0.35, label="no feedback holds it"
-            )
+            Line2D([], [], linestyle="", **_BISTABLE, label=text) if maps else _point("bistable", text)
         )
     if choice is not None:
-        handles.append(
-            Line2D(
-                [],
-                [],
-                color=_BEST,
-                marker="*",
-                markeredgecolor="white",
-                linestyle="",
-                markersize=12.0,
-                label="best",
-            )
-        )
+        star: dict[str, Any] = {"color": _BEST, "marker": "*", "markeredgecolor": "white", "markersize": 12.0}
+        handles.append(Line2D([], [], linestyle="", **star, label="best"))
     if not handles:
         return None
     return figure.legend(
         handles=handles,
         loc="lower center",
-        ncols=min(len(handles), 2 if plan.sizes["lever"] == 1 else 5),
+        ncols=min(len(handles), plan.sizes["lever"] + 1),
         frameon=False,
         borderaxespad=0.0,
         fontsize=LABEL_SIZE,
