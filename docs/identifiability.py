@@ -382,7 +382,6 @@ def curve_of(probe: ot.Probe, modulus: float, adhesion: float, setpoint: Array, 
     sample = ot.sample("dmt", modulus=modulus, poisson_ratio=POISSON_RATIO, adhesion=adhesion)
     clean = ot.hold_amplitude(probe, sample, setpoint=setpoint, n_max=40)
     read = add_noise(clean, seed=SEED)
-    known = {"poisson_ratio": POISSON_RATIO}
     truth = xr.Dataset({"indentation": clean["indentation"]})
     truth = truth.assign(
         modulus=xr.full_like(truth["indentation"], modulus),
@@ -398,10 +397,12 @@ def curve_of(probe: ot.Probe, modulus: float, adhesion: float, setpoint: Array, 
             model="dmt-linear",
             method="least-squares",
             harmonics=(0, 1, 2),
-            **known,
+            poisson_ratio=POISSON_RATIO,
         ),
-        ot.map_properties(clean, probe, model="dmt", method="exact", harmonics=(0, 1, 2), **known),
-        ot.map_properties(read, probe, model="dmt", **known),
+        ot.map_properties(
+            clean, probe, model="dmt", method="exact", harmonics=(0, 1, 2), poisson_ratio=POISSON_RATIO
+        ),
+        ot.map_properties(read, probe, model="dmt", poisson_ratio=POISSON_RATIO),
     )
 
 
@@ -664,7 +665,8 @@ def accepted_table(intervals: Mapping[str, Mapping[str, xr.Dataset]]) -> str:
             left = intervals[name][title]
             cells = [_range(low, high), _range(float(left["modulus_lower"]), float(left["modulus_upper"]))]
             for quantity, unit in (("adhesion", "N"), ("indentation", "m")):
-                cells.append(_range(*(float(left[f"{quantity}_{end}"]) for end in ("lower", "upper")), unit))
+                ends = [float(left[f"{quantity}_{end}"]) for end in ("lower", "upper")]
+                cells.append(_range(ends[0], ends[1], unit))
             meaning = STATUS_MEANINGS[int(left["status"])].replace("_", " ")
             lines.append(f"| {name} | {title} | {' | '.join(cells)} | {meaning} |")
     return "\n".join(lines)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import csv
+import functools
 import math
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
@@ -263,19 +264,35 @@ def limit(model: str, draw: Draw, noise: Mapping[str, float], *, calibrated: boo
     return math.sqrt(float(np.linalg.inv(information)[0, 0]) + float(pixel.left[0]))
 
 
-def inverted(model: str, run: str, level: float, number: int, size: int = CHUNK) -> Outcomes:
-    """Return the outcomes of a chunk of draws: truth, medians, intervals, status."""
-    calibrated = run == CALIBRATED
-    random = np.random.default_rng([SEED, list(MODELS).index(model), int(1e12 * level), number])
+class Chunk(NamedTuple):
+    """Draws of one model and noise."""
+
+    draws: list[Draw]
+    observables: xr.Dataset
+    """With noise."""
+    tried: float
+    """States drawn for each one that is kept."""
+
+
+@functools.lru_cache(maxsize=2)  # the runs without errors of the instrument share theirs
+def chunk(model: str, level: float, number: int, size: int, *, calibrated: bool) -> Chunk:
+    """Return a chunk of draws, seeded by its number."""
+    random = np.random.default_rng([SEED, list(MODELS).index(model), round(1e12 * level), number])
     draws: list[Draw] = []
     tried = 0
     while len(draws) < size:
         draw = one_draw(model, random, calibrated=calibrated)
         tried += 1
         draws += [draw] if draw is not None else []
-    noise = {**NOISE, "A0": level}
     read = observables_of(draw.reading for draw in draws)
-    noisy = add_noise(read, noise, seed=int(random.integers(2**31)))
+    noisy = add_noise(read, {**NOISE, "A0": level}, seed=int(random.integers(2**31)))
+    return Chunk(draws, noisy, tried / size)
+
+
+def inverted(model: str, run: str, level: float, number: int, size: int = CHUNK) -> Outcomes:
+    """Return the outcomes of a chunk of draws: truth, medians, intervals, status."""
+    calibrated, noise = run == CALIBRATED, {**NOISE, "A0": level}
+    draws, noisy, tried = chunk(model, level, number, size, calibrated=calibrated)
     rows = []
     for i, draw in enumerate(draws):
         probe, told = stated(run, draw.probe, noise)
@@ -291,7 +308,7 @@ def inverted(model: str, run: str, level: float, number: int, size: int = CHUNK)
             row |= others_row(model, pixel, probe, told)
         rows.append(row | {"level": level, "A1": draw.truth["A1"]})
     columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
-    return columns | {"tried": np.full(size, tried / size)}
+    return columns | {"tried": np.full(size, tried)}
 
 
 def posterior_row(
@@ -1043,9 +1060,10 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=2)
     options = parser.parse_args()
     chunks = range(math.ceil(options.draws / (CHUNK * len(LEVELS))))
-    tasks = [(m, run, level, k) for m in MODELS for run in RUNS for level in LEVELS for k in chunks]
+    tasks = [(m, run, level, k) for m in MODELS for level in LEVELS for k in chunks for run in RUNS]
     with ProcessPoolExecutor(options.jobs) as pool:
-        parts = list(pool.map(inverted, *zip(*tasks, strict=True)))
+        # all runs of a chunk in one process, which then draws it twice instead of five times
+        parts = list(pool.map(inverted, *zip(*tasks, strict=True), chunksize=len(RUNS)))
     found = {
         (m, run): together([p for t, p in zip(tasks, parts, strict=True) if t[:2] == (m, run)])
         for m in MODELS

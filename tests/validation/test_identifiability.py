@@ -5,6 +5,7 @@ import math
 import sys
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
@@ -35,7 +36,7 @@ def states(script: ModuleType) -> xr.Dataset:
     return ot.hold_amplitude(script.probe_of_section_3(), sample, setpoint=SETPOINTS, n_max=40)
 
 
-def inverted(states: xr.Dataset, probe: ot.Probe, **how: str) -> tuple[np.ndarray, np.ndarray]:
+def inverted(states: xr.Dataset, probe: ot.Probe, **how: Any) -> tuple[np.ndarray, np.ndarray]:
     """Return modulus [GPa] and adhesion [nN] from harmonics 0 to 2."""
     found = ot.map_properties(states, probe, poisson_ratio=0.3, harmonics=(0, 1, 2), **how)
     return found["modulus_unscreened"].values / 1e9, found["adhesion_unscreened"].values / 1e-9

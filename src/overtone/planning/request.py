@@ -160,7 +160,7 @@ def inversion_of(
             got=f"one of model {sample.model.key!r} with {', '.join(sample.values)}",
             hint="a sample of the model that is inverted, or leave out model",
         )
-    arguments: dict[str, Any] = {"model": key, "noise": None, "priors": priors, "harmonics": harmonics}
+    arguments: dict[str, Any] = {"model": key, "noise": noise, "priors": priors, "harmonics": harmonics}
     for name in ("poisson_ratio", "intermolecular_distance"):
         if name in known:
             arguments[name] = known.pop(name)
