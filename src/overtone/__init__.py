@@ -64,6 +64,7 @@ if TYPE_CHECKING:
     from overtone.io.registry import read_channels as read_channels
     from overtone.io.spectrum import read_spectrum as read_spectrum
     from overtone.io.traces import read_trace as read_trace
+    from overtone.planning.experiment import plan_experiment as plan_experiment
     from overtone.presets import preset as preset
     from overtone.probe import Probe as Probe
     from overtone.probe import load_probe as load_probe
@@ -106,6 +107,7 @@ _HOME = {
     "open_curve": "io.curves",
     "open_ladder": "io.ladder",
     "open_scan": "io.observables",
+    "plan_experiment": "planning.experiment",
     "preset": "presets",
     "probe_of": "readings",
     "read_channels": "io.registry",

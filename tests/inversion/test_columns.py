@@ -102,7 +102,7 @@ def test_linear_models_are_those_of_powers_attraction_and_loss() -> None:
 @pytest.mark.parametrize("model", ["jkr", "maugis", "sls", "capillary"])
 def test_others_are_not_and_say_so(model: str) -> None:
     assert not is_linear(contact_model(model))
-    with pytest.raises(InversionError, match="cannot be inverted.*dmt-viscous"):
+    with pytest.raises(InversionError, match=r"cannot be inverted.*dmt-viscous"):
         columns_of(contact_model(model), PROBE, GIVEN)
 
 

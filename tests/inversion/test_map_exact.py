@@ -46,7 +46,9 @@ def scan() -> tuple[xr.Dataset, np.ndarray]:
     """Return a noisy scan of many materials, and their moduli."""
     random = np.random.default_rng(1)
     modulus = np.exp(random.uniform(math.log(40e6), math.log(6e9), (9, 14)))
-    material = sample("dmt", modulus=modulus, poisson_ratio=0.3, adhesion=random.uniform(2e-9, 20e-9, (9, 14)))
+    material = sample(
+        "dmt", modulus=modulus, poisson_ratio=0.3, adhesion=random.uniform(2e-9, 20e-9, (9, 14))
+    )
     setpoint = xr.DataArray(random.uniform(0.35, 0.9, (9, 14)), dims=("y", "x"))
     return add_noise(hold_amplitude(PROBE, material, setpoint=setpoint, dims=("y", "x")), seed=2), modulus
 
@@ -101,7 +103,9 @@ def test_harmonics_are_taken_in_any_order(scan: tuple[xr.Dataset, np.ndarray]) -
 
 def test_what_a_result_holds(scan: tuple[xr.Dataset, np.ndarray]) -> None:
     result = map_properties(scan[0], PROBE, **ASKED)
-    names = {f"{q}{v}" for q in ("modulus", "adhesion", "indentation") for v in ("", "_unscreened", "_solutions")}
+    names = {
+        f"{q}{v}" for q in ("modulus", "adhesion", "indentation") for v in ("", "_unscreened", "_solutions")
+    }
     assert set(result.data_vars) == names | {"misfit", "uncertainty", "solutions", "status"}
     assert result["modulus_solutions"].dims == ("y", "x", "solution")
     assert result.sizes["solution"] == exact.MOST
@@ -138,7 +142,9 @@ def test_uncertainty_is_the_scatter_of_noisy_answers(clean: tuple[xr.Dataset, np
 
 def test_noise_that_is_stated_smaller_than_it_is_fits_badly(clean: tuple[xr.Dataset, np.ndarray]) -> None:
     noisy = add_noise(clean[0].isel(p=np.zeros(60, int)), {"A0": 1e-11, "A2": 3e-12, "A3": 3e-12}, seed=5)
-    result = map_properties(noisy, PROBE, noise={"A0": 1e-13, "A1": 1e-13, "phi1": 1e-5, "A2": 3e-14, "A3": 3e-14}, **ASKED)
+    result = map_properties(
+        noisy, PROBE, noise={"A0": 1e-13, "A1": 1e-13, "phi1": 1e-5, "A2": 3e-14, "A3": 3e-14}, **ASKED
+    )
     assert (result["status"] == POOR_FIT).mean() > 0.8
     assert np.isnan(result["modulus"].values[result["status"].values == POOR_FIT]).all()
 
@@ -182,7 +188,12 @@ def broken(clean: xr.Dataset) -> tuple[xr.Dataset, list[int]]:
 @pytest.mark.parametrize("model", ["dmt", "dmt-viscous", "hertz", "thin-layer"])
 def test_broken_pixels_have_a_status(clean: tuple[xr.Dataset, np.ndarray], model: str) -> None:
     observables, expected = broken(clean[0])
-    result = map_properties(observables, PROBE, given={"thickness": 1e-6} if model == "thin-layer" else None, **{**ASKED, "model": model})
+    result = map_properties(
+        observables,
+        PROBE,
+        given={"thickness": 1e-6} if model == "thin-layer" else None,
+        **{**ASKED, "model": model},
+    )
     missing = np.array(expected) == MISSING_DATA
     np.testing.assert_array_equal(result["status"].values == MISSING_DATA, missing)
     for name in ("modulus", "modulus_unscreened", "misfit", "uncertainty"):
@@ -190,7 +201,10 @@ def test_broken_pixels_have_a_status(clean: tuple[xr.Dataset, np.ndarray], model
     assert not result["solutions"].values[missing].any()
     # and those beside them are as they were
     alone = map_properties(
-        clean[0].isel(p=[2]), PROBE, given={"thickness": 1e-6} if model == "thin-layer" else None, **{**ASKED, "model": model}
+        clean[0].isel(p=[2]),
+        PROBE,
+        given={"thickness": 1e-6} if model == "thin-layer" else None,
+        **{**ASKED, "model": model},
     )
     np.testing.assert_array_equal(
         result["modulus_unscreened"].values[~missing], np.repeat(alone["modulus_unscreened"].values, 3)
@@ -257,7 +271,9 @@ def test_half_the_size(scan: tuple[xr.Dataset, np.ndarray]) -> None:
     np.testing.assert_array_equal(result["modulus"].shape, whole["modulus"].shape)
 
 
-def test_progress_counts_every_pixel(scan: tuple[xr.Dataset, np.ndarray], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_progress_counts_every_pixel(
+    scan: tuple[xr.Dataset, np.ndarray], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(separable, "BLOCK", 50)
     seen: list[tuple[int, int]] = []
     map_properties(scan[0], PROBE, progress=lambda done, total: seen.append((done, total)), **ASKED)

@@ -31,13 +31,20 @@ PROBE = Probe.simple(
 def scan() -> xr.Dataset:
     modulus = np.geomspace(50e6, 5e9, 12).reshape(3, 4)
     return hold_amplitude(
-        PROBE, sample("dmt", modulus=modulus, poisson_ratio=0.3, adhesion=10e-9), setpoint=0.6, dims=("y", "x")
+        PROBE,
+        sample("dmt", modulus=modulus, poisson_ratio=0.3, adhesion=10e-9),
+        setpoint=0.6,
+        dims=("y", "x"),
     )
 
 
-def setting(observables: xr.Dataset, cons: tuple[int, ...] = (0, 1, 2), diss: tuple[int, ...] = (), **options: Any) -> Setting:
+def setting(
+    observables: xr.Dataset, cons: tuple[int, ...] = (0, 1, 2), diss: tuple[int, ...] = (), **options: Any
+) -> Setting:
     probe = options.pop("probe", PROBE)
-    return Setting.of(observables, probe, cons, diss, complete_noise(options.pop("noise", None), (0, 1, 2, 3)))
+    return Setting.of(
+        observables, probe, cons, diss, complete_noise(options.pop("noise", None), (0, 1, 2, 3))
+    )
 
 
 def test_a_block_holds_the_forces_of_its_pixels(scan: xr.Dataset) -> None:
@@ -64,8 +71,12 @@ def test_only_harmonics_asked_for_are_read(scan: xr.Dataset) -> None:
     assert setting(scan, (0, 1, 2)).known == (2,)
 
 
-@pytest.mark.parametrize(("cons", "diss", "row"), [((0, 1, 2), (), 1), ((1, 2, 3), (1,), 0), ((0, 2, 3), (1,), -1)])
-def test_where_the_attraction_shows(scan: xr.Dataset, cons: tuple[int, ...], diss: tuple[int, ...], row: int) -> None:
+@pytest.mark.parametrize(
+    ("cons", "diss", "row"), [((0, 1, 2), (), 1), ((1, 2, 3), (1,), 0), ((0, 2, 3), (1,), -1)]
+)
+def test_where_the_attraction_shows(
+    scan: xr.Dataset, cons: tuple[int, ...], diss: tuple[int, ...], row: int
+) -> None:
     """The sign of CONS_1; DISS_1 has the same order and is no attraction."""
     np.testing.assert_array_equal(setting(scan, cons, diss).attraction, [row])
 
@@ -80,7 +91,9 @@ def test_without_a_calibration_errors_are_those_of_noise(scan: xr.Dataset) -> No
 def test_more_noise_weighs_less(scan: xr.Dataset) -> None:
     one = setting(scan, noise={"A0": 1e-12, "A1": 1e-12, "phi1": 1e-4, "A2": 1e-12}).pixels(slice(0, 12), 0.0)
     ten = setting(scan, noise={"A0": 1e-11, "A1": 1e-11, "phi1": 1e-3, "A2": 1e-11}).pixels(slice(0, 12), 0.0)
-    np.testing.assert_allclose(ten.whitening, 0.1 * one.whitening, rtol=1e-6, atol=1e-4 * np.abs(ten.whitening).max())
+    np.testing.assert_allclose(
+        ten.whitening, 0.1 * one.whitening, rtol=1e-6, atol=1e-4 * np.abs(ten.whitening).max()
+    )
 
 
 def test_lost_pixels_are_marked(scan: xr.Dataset) -> None:
@@ -95,7 +108,9 @@ def test_lost_pixels_are_marked(scan: xr.Dataset) -> None:
 
 
 def test_the_table_reaches_every_amplitude(scan: xr.Dataset) -> None:
-    varied = scan.assign(A1=scan["A1"] * xr.DataArray(np.linspace(0.3, 1.5, 12).reshape(3, 4), dims=("y", "x")))
+    varied = scan.assign(
+        A1=scan["A1"] * xr.DataArray(np.linspace(0.3, 1.5, 12).reshape(3, 4), dims=("y", "x"))
+    )
     columns = columns_of(contact_model("dmt"), PROBE, {"poisson_ratio": 0.3})
     here = setting(varied)
     table = here.table(columns)
@@ -110,7 +125,12 @@ def test_the_table_reaches_the_amplitude_of_the_tip_under_a_shaken_base() -> Non
     """Where reading and motion differ by per cents, low in quality."""
     probe = Probe(
         Probe.simple(
-            stiffness=2.0, frequency=60e3, quality_factor=5.0, radius=10e-9, drive_frequency=60e3, free_amplitude=50e-9
+            stiffness=2.0,
+            frequency=60e3,
+            quality_factor=5.0,
+            radius=10e-9,
+            drive_frequency=60e3,
+            free_amplitude=50e-9,
         ).cantilever,
         Drive(60e3, 50e-9, BASE),
         PROBE.tip,

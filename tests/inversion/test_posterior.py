@@ -121,13 +121,17 @@ def legendre(low: np.ndarray, high: np.ndarray, count: int) -> tuple[np.ndarray,
     return low[..., None] + half * (1.0 + x), half * w
 
 
-def reach(low: np.ndarray, high: np.ndarray, mean: np.ndarray, sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def reach(
+    low: np.ndarray, high: np.ndarray, mean: np.ndarray, sigma: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Return where a Gaussian between two bounds has its mass."""
     left = np.maximum(low, np.minimum(mean - 8.0 * sigma, high))
     right = np.minimum(high, np.maximum(mean + 8.0 * sigma, low))
     # beyond a bound it falls off within a part of sigma
     tail = 40.0 * sigma**2 / np.maximum(np.maximum(low - mean, mean - high), sigma)
-    right = np.where(mean < low, np.minimum(right + (right <= left) * tail, low + np.minimum(tail, 8.0 * sigma)), right)
+    right = np.where(
+        mean < low, np.minimum(right + (right <= left) * tail, low + np.minimum(tail, 8.0 * sigma)), right
+    )
     left = np.where(mean > high, np.maximum(high - np.minimum(tail, 8.0 * sigma), low), left)
     return left, np.minimum(right, high)
 
@@ -191,7 +195,11 @@ def sum_over(pixel: Pixel, prior: Prior, t: np.ndarray, sizes: tuple[int, int, i
         S = S_of(x)
         F = np.clip(conditional(S)[0], prior.adhesion_low, prior.adhesion_high)
         left = ry[:, None] - S[..., None] * ra[:, None] - F[..., None] * rb[:, None]
-        return (left**2).sum(axis=2) + root * (F - prior.adhesion_mean) ** 2 + prior.precision * (x - prior.centre) ** 2
+        return (
+            (left**2).sum(axis=2)
+            + root * (F - prior.adhesion_mean) ** 2
+            + prior.precision * (x - prior.centre) ** 2
+        )
 
     # the range of ln E at each t: grids within grids, because a valley may be a thousandth wide
     low, high = np.full(t.size, E_low), np.full(t.size, E_high)
@@ -207,18 +215,23 @@ def sum_over(pixel: Pixel, prior: Prior, t: np.ndarray, sizes: tuple[int, int, i
     x, wx = legendre(low, high, sizes[0])
     S = S_of(x)
     mean, sigma = conditional(S)
-    F, wF = legendre(*reach(np.full(S.shape, prior.adhesion_low), np.full(S.shape, prior.adhesion_high), mean, sigma), sizes[1])
-    left = (
-        y
-        - S[..., None, None] * a[:, None, None]
-        - F[..., None] * b[:, None, None]
+    F, wF = legendre(
+        *reach(np.full(S.shape, prior.adhesion_low), np.full(S.shape, prior.adhesion_high), mean, sigma),
+        sizes[1],
     )
+    left = y - S[..., None, None] * a[:, None, None] - F[..., None] * b[:, None, None]
     if lossy:
         vv = (v * v).sum(axis=1)[:, None, None]
         c_mean = (left * v[:, None, None]).sum(axis=3) / vv
         high_c = np.broadcast_to((prior.tangent_high * S)[..., None], c_mean.shape)
-        c, wc = legendre(*reach(np.zeros(c_mean.shape), high_c, c_mean, np.broadcast_to(vv**-0.5, c_mean.shape)), sizes[2])
-        rest = (left**2).sum(axis=3) - c_mean**2 * vv[..., 0][..., None] if vv.ndim == 4 else (left**2).sum(axis=3) - c_mean**2 * vv
+        c, wc = legendre(
+            *reach(np.zeros(c_mean.shape), high_c, c_mean, np.broadcast_to(vv**-0.5, c_mean.shape)), sizes[2]
+        )
+        rest = (
+            (left**2).sum(axis=3) - c_mean**2 * vv[..., 0][..., None]
+            if vv.ndim == 4
+            else (left**2).sum(axis=3) - c_mean**2 * vv
+        )
         chi2 = rest[..., None] + vv[..., None] * (c - c_mean[..., None]) ** 2
         tangent = c / S[..., None, None]
         measure = wc / S[..., None, None] / prior.tangent_high
@@ -329,7 +342,13 @@ def noisy(
     y = np.concatenate([f.real[list(cons)], -f.imag[list(diss)]])
     sigma = {0: 16.4 * 5e-12, 1: 1e-12, 2: 3 * 16.4 * 1e-12, 3: 8 * 16.4 * 1e-12}
     own = np.array([sigma[n] for n in cons] + [{1: 16.4 / 287 * 2e-11, 2: sigma[2]}[n] for n in diss])
-    phase = 1.7e-3 * 16.4 / 287 * 94e-9 * np.array([0.0 if n == 0 else 0.8 if n == 1 else 0.02 * n for n in cons] + [0.5] * len(diss))
+    phase = (
+        1.7e-3
+        * 16.4
+        / 287
+        * 94e-9
+        * np.array([0.0 if n == 0 else 0.8 if n == 1 else 0.02 * n for n in cons] + [0.5] * len(diss))
+    )
     C = noise**2 * (np.diag(own**2) + np.outer(phase, phase))
     y = y + np.linalg.cholesky(C) @ random.normal(size=y.size)
     return Pixel(y, np.linalg.inv(np.linalg.cholesky(C)), amplitude, cons, diss, model)
@@ -357,7 +376,9 @@ def test_medians_and_intervals_are_those_of_a_dense_grid(key: str) -> None:
     check(pixel, HALF_NORMAL)
     got = ours(pixel, HALF_NORMAL)
     # repelled: out of contact does not count
-    assert (got.summary[CONTACT_] == 1.0) == (pixel.y[pixel.cons.index(1)] <= 0.0) or got.summary[CONTACT_] > 0.99
+    assert (got.summary[CONTACT_] == 1.0) == (pixel.y[pixel.cons.index(1)] <= 0.0) or got.summary[
+        CONTACT_
+    ] > 0.99
 
 
 @pytest.mark.parametrize("prior", [RANGE, NORMAL, LOG_NORMAL], ids=["range", "normal", "log-normal"])
@@ -383,7 +404,10 @@ def test_the_misfit_is_that_of_the_data_alone() -> None:
 
 def test_a_prior_that_knows_more_leaves_less() -> None:
     pixel = PIXELS["stiff"]
-    wide, sharp = ours(pixel, HALF_NORMAL), ours(pixel, HALF_NORMAL._replace(adhesion_mean=8e-9, adhesion_precision=0.1e-9**-2))
+    wide, sharp = (
+        ours(pixel, HALF_NORMAL),
+        ours(pixel, HALF_NORMAL._replace(adhesion_mean=8e-9, adhesion_precision=0.1e-9**-2)),
+    )
     assert np.ptp(sharp.quantiles[ADHESION_]) < 0.05 * np.ptp(wide.quantiles[ADHESION_])
     assert sharp.summary[SPREAD_] < 0.9 * wide.summary[SPREAD_]
 
@@ -476,7 +500,9 @@ def test_errors_that_forces_and_radius_share(key: str) -> None:
     share = weights * np.exp(np.array(logs) - max(logs))
     share /= share.sum()
     mean = float(share @ np.array(means))
-    variance = float(share @ (np.array(spreads) ** 2 + (np.array(means) - mean) ** 2)) + (exponent * alone) ** 2
+    variance = (
+        float(share @ (np.array(spreads) ** 2 + (np.array(means) - mean) ** 2)) + (exponent * alone) ** 2
+    )
     C = np.linalg.inv(pixel.W.T @ pixel.W) + np.outer(change, change)
     W = np.linalg.inv(np.linalg.cholesky(C))
     along = W @ change * of_radius
@@ -486,7 +512,9 @@ def test_errors_that_forces_and_radius_share(key: str) -> None:
     assert got.summary[SPREAD_] == pytest.approx(math.sqrt(variance), rel=0.03)
     assert got.quantiles[MODULUS_, 0] < got.summary[MEAN_] < got.quantiles[MODULUS_, 2]
     # and the evidence is that of the wider errors
-    total = max(logs) + math.log(float(weights @ np.exp(np.array(logs) - max(logs))) / math.sqrt(2.0 * math.pi))
+    total = max(logs) + math.log(
+        float(weights @ np.exp(np.array(logs) - max(logs))) / math.sqrt(2.0 * math.pi)
+    )
     assert got.summary[EVIDENCE_] == pytest.approx(total, abs=0.02)
 
 

@@ -48,7 +48,8 @@ def test_numbers_that_make_no_distribution(kind: str, first: float, second: floa
 
 
 @pytest.mark.parametrize(
-    ("kind", "first", "second"), [(RANGE, 0.0, 1.0), (NORMAL, 0.0, 1e-9), (NORMAL, -1e-9, 1e-9), (LOG_NORMAL, 1e9, 1.01)]
+    ("kind", "first", "second"),
+    [(RANGE, 0.0, 1.0), (NORMAL, 0.0, 1e-9), (NORMAL, -1e-9, 1e-9), (LOG_NORMAL, 1e9, 1.01)],
 )
 def test_numbers_that_do(kind: str, first: float, second: float) -> None:
     assert Prior(kind, first, second).kind == kind
@@ -59,7 +60,9 @@ def test_every_model_has_a_prior_of_every_unknown() -> None:
         priors = complete_priors(None, record, 10e-9)
         names = [q.name for q in unknowns_of(record)]
         lossy = {"viscosity", "damping"} & set(names)
-        expected = {names[0], "indentation"} | ({"adhesion"} & set(names)) | ({"loss_tangent"} if lossy else set())
+        expected = (
+            {names[0], "indentation"} | ({"adhesion"} & set(names)) | ({"loss_tangent"} if lossy else set())
+        )
         assert set(priors) == expected
 
 
@@ -68,7 +71,9 @@ def test_the_adhesion_follows_the_radius() -> None:
     prior = complete_priors(None, DMT, 10e-9)["adhesion"]
     assert (prior.kind, prior.first) == (NORMAL, 0.0)
     assert prior.second == pytest.approx(18.85e-9, rel=1e-3, abs=0)
-    assert complete_priors(None, DMT, 40e-9)["adhesion"].second == pytest.approx(4.0 * prior.second, rel=1e-12, abs=0)
+    assert complete_priors(None, DMT, 40e-9)["adhesion"].second == pytest.approx(
+        4.0 * prior.second, rel=1e-12, abs=0
+    )
     assert complete_priors(None, DMT, None)["adhesion"] == DEFAULTS["adhesion"]
 
 

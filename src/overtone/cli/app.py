@@ -17,6 +17,7 @@ from overtone.cli.demodulate import demodulate
 from overtone.cli.inspect import inspect
 from overtone.cli.map import map_scan
 from overtone.cli.models import models
+from overtone.cli.plan import plan
 from overtone.cli.protocol import protocol
 from overtone.cli.simulate import simulate
 from overtone.cli.simulate_scan import scan as simulate_scan
@@ -32,6 +33,7 @@ app.command(demo)
 app.command(inspect)
 app.command(map_scan, name="map")
 app.command(calibrate_curve, name="calibrate")
+app.command(plan)
 app.command(models)
 simulate.command(simulate_scan, name="scan")
 app.command(simulate)

@@ -49,7 +49,8 @@ class Term:
 def _points(*arrays: Any) -> tuple[tuple[int, ...], list[_Floats]]:
     """Return the common shape of arrays, and each of them flat."""
     wide = np.broadcast_arrays(*(np.asarray(array, dtype=float) for array in arrays))
-    return wide[0].shape, [np.ascontiguousarray(array.ravel()) for array in wide]
+    # copies: numpy marks what it broadcasts to one element, and compiled code warns of the mark
+    return wide[0].shape, [array.flatten() for array in wide]
 
 
 def _row(kind: int, *columns: Any) -> _Floats:
@@ -68,8 +69,8 @@ def _law_of(row: Row) -> Law:
     def force(values: Values, gap: _Floats, velocity: _Floats) -> _Floats:
         rows = row(values)
         shape = np.broadcast_shapes(rows.shape[:-1], gap.shape, velocity.shape)
-        d, v = (np.broadcast_to(array, shape).ravel() for array in (gap, velocity))
-        table = np.broadcast_to(rows, (*shape, law.COLUMNS)).reshape(-1, 1, law.COLUMNS)
+        d, v = (np.broadcast_to(array, shape).flatten() for array in (gap, velocity))
+        table = np.array(np.broadcast_to(rows, (*shape, law.COLUMNS))).reshape(-1, 1, law.COLUMNS)
         out = np.empty(d.size)
         held = (v > 0.0) & (d < table[:, 0, 2])  # the reach, of the one kind that asks
         law.force_block(np.ascontiguousarray(table), d, v, d <= 0.0, held, out)

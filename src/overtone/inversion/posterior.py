@@ -59,6 +59,8 @@ _NEGLIGIBLE = 1e-6
 _PIECES = 8
 _PLACES = 3  # at which the difference that the harmonics of the motion make is found
 _BESIDE = 0.2
+_MOST_PASSES = 8
+_SMALL = 0.05  # standard deviations of the noise
 _DECADES = 8.0  # of S tan(delta), below its largest
 _ROOT_2 = math.sqrt(2.0)
 _LOG_ROOT_2PI = 0.5 * math.log(2.0 * math.pi)
@@ -441,7 +443,7 @@ def posterior_pixels(
     places = _PLACES if followed.tip.shape[0] > 0 else 0
     s = new_scratch(rows + 1, table.elastic.shape[2] - 1, places)
     bare = new_scratch(rows + 1, table.elastic.shape[2] - 1, 0)
-    room, out = new_room(followed), np.zeros(rows)
+    room, out, whitened = new_room(followed), np.zeros(rows), np.zeros(rows)
     sticky, loss = adhesive(columns), columns.loss > 0.0
     contact = columns.contact
     bounded = np.empty((NODES - 1) // _STRIDE + 1)
@@ -497,34 +499,56 @@ def posterior_pixels(
             count, _ = _stretches(
                 table, slot, share, scale, orders, lossy, W, sticky, loss, box, bare, bounded, bottom, ends
             )
-            set_places(s, ends[0, 0] - _BESIDE, ends[count - 1, 1] + _BESIDE)
             out[:] = 0.0
-            for j in range(places):
-                room.b[:] = 0.0
-                difference_at(
-                    s.places[j],
-                    A,
-                    table,
-                    slot,
-                    share,
-                    scale,
-                    columns,
-                    followed,
-                    f_known[i],
-                    orders,
-                    lossy,
-                    W,
-                    sticky,
-                    box,
-                    bare,
-                    room,
-                    out,
+            s.shifts[:] = 0.0
+            size, least = 0.0, math.inf
+            for r in range(rows):
+                size = max(size, abs(bare.first[r]))
+            # where the difference moves the valley off the places that it was found at, it is found again
+            for _ in range(_MOST_PASSES):
+                low, high = ends[0, 0] - _BESIDE, ends[count - 1, 1] + _BESIDE
+                set_places(s, low, high)
+                for j in range(places):
+                    room.b[:] = 0.0
+                    # one that is large, and matters, also for the material that it leaves
+                    for _ in range(_MOST_PASSES):
+                        difference_at(
+                            s.places[j],
+                            A,
+                            table,
+                            slot,
+                            share,
+                            scale,
+                            columns,
+                            followed,
+                            f_known[i],
+                            orders,
+                            lossy,
+                            W,
+                            sticky,
+                            box,
+                            bare,
+                            room,
+                            out,
+                        )
+                        whiten(W, out, whitened)
+                        whole_size, change = 0.0, 0.0
+                        for r in range(rows):
+                            whole_size = max(whole_size, abs(whitened[r]))
+                            change = max(change, abs(whitened[r] - s.shifts[j, r]))
+                            s.shifts[j, r] = whitened[r]
+                        if whole_size * whole_size < _SMALL * size or change < _SMALL:
+                            break
+                    s.shifts[j, rows] = 0.0
+                count, least = _stretches(
+                    table, slot, share, scale, orders, lossy, W, sticky, loss, box, s, bounded, bottom, ends
                 )
-                whiten(W, out, s.shifts[j])
-                s.shifts[j, rows] = 0.0
-        count, least = _stretches(
-            table, slot, share, scale, orders, lossy, W, sticky, loss, box, s, bounded, bottom, ends
-        )
+                if ends[0, 0] >= low and ends[count - 1, 1] <= high:
+                    break
+        else:
+            count, least = _stretches(
+                table, slot, share, scale, orders, lossy, W, sticky, loss, box, s, bounded, bottom, ends
+            )
         nodes, total, most = 0, 0.0, 0.0
         mean, square = 0.0, 0.0
         for stretch in range(count):

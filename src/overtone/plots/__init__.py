@@ -15,6 +15,7 @@ from overtone.plots.histograms import histogram_figure
 from overtone.plots.intervals import certainty_figure
 from overtone.plots.maps import draw_map
 from overtone.plots.overview import overview_figure
+from overtone.plots.plan import plan_figure
 from overtone.plots.reconstruction import reconstruction_figure
 from overtone.plots.thermal import thermal_figure
 from overtone.plots.validity import validity_figure
@@ -31,6 +32,7 @@ __all__ = [
     "histogram_figure",
     "observables_figure",
     "overview_figure",
+    "plan_figure",
     "png_bytes",
     "properties_figure",
     "reconstruction_figure",
