@@ -1,6 +1,7 @@
 """Blocks of pixels as the kernels take them, with what a calibration leaves uncertain."""
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -172,3 +173,43 @@ def test_what_a_wider_tip_makes_of_the_modulus(model: str, given: dict[str, floa
 def test_without_a_tip_there_is_no_such_change() -> None:
     bare = Probe(PROBE.cantilever, PROBE.drive)
     assert radius_exponent(contact_model("kelvin-voigt"), bare, {}) == 0.0
+
+
+class Known:
+    """Three shared errors of known size in place of a calibration: two of them move forces, two the radius."""
+
+    of_radius = np.array([0.05, -0.03, 0.0])
+
+    def changes(self, block: slice, orders: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+        count = block.stop - block.start
+        random = np.random.default_rng(7)
+        part = random.normal(size=(len(orders), 3)) + 1j * random.normal(size=(len(orders), 3))
+        part = part * 3e-11
+        part[:, 1] = 0.0
+        return np.broadcast_to(part, (count, len(orders), 3)), self.of_radius
+
+
+@pytest.mark.parametrize("diss", [(), (1, 2)])
+def test_a_residual_says_which_way_shared_errors_went(scan: xr.Dataset, diss: tuple[int, ...]) -> None:
+    """Pull and what is left of the radius are the regression on drawn errors, signs included."""
+    shared = Known()
+    plain = setting(scan, (0, 1, 2), diss)
+    pixels = replace(plain, shared=shared).pixels(slice(0, 2), -0.5)
+    rows = plain.rows
+    changes = shared.changes(slice(0, 2), plain.orders)[0][0][rows.harmonics]
+    of_force = np.where(rows.lossy[:, None], -changes.imag, changes.real)
+    random = np.random.default_rng(8)
+    z = random.normal(size=(200000, 3))
+    root = np.linalg.inv(pixels.of_noise[0])
+    # what is read falls short of the truth by what the calibration would have to add to it
+    residual = random.normal(size=(z.shape[0], rows.orders.size)) @ root.T - z @ of_force.T
+    white = residual @ pixels.whitening[0].T
+    np.testing.assert_allclose(white.T @ white / z.shape[0], np.eye(rows.orders.size), atol=0.015)
+    wanted = -0.5 * z @ shared.of_radius
+    error = 5.0 * wanted.std() / math.sqrt(z.shape[0])
+    np.testing.assert_allclose(pixels.pull[0], wanted @ white / z.shape[0], atol=error)
+    assert np.abs(pixels.pull[0]).max() > 10.0 * error
+    left = wanted - white @ pixels.pull[0]
+    assert pixels.left[0] == pytest.approx(left.var(), rel=0.02, abs=0)
+    # noise alone weighs the same as without a calibration
+    np.testing.assert_array_equal(pixels.of_noise, plain.pixels(slice(0, 2), 0.0).whitening)

@@ -465,6 +465,7 @@ def settle(
     f_known: _Complex,
     solution: _Floats,
     spread: _Floats,
+    chi2: _Floats,
 ) -> None:
     """Move solutions to where they agree with the motion that the tip makes; NaN where they come to no rest.
 
@@ -474,8 +475,8 @@ def settle(
         As in `differences`.
     solution : array (pixel, 4)
         As `overtone.inversion.exact` has them; replaced. NaN where there is none.
-    spread : array (pixel,)
-        Standard deviation of S; replaced.
+    spread, chi2 : array (pixel,)
+        Standard deviation of S, and what is left of the data; replaced.
     """
     rows = orders.shape[0]
     n_max = 0
@@ -494,7 +495,7 @@ def settle(
             for _ in range(_APART_PASSES):
                 _rows_left(A, x, y[i], columns, followed, f_known[i], orders, lossy, room, left)
                 whiten(W, left, s.wy)
-                x[DELTA_], x[F_], _ = closest_apart(A, columns, orders, lossy, W, s)
+                x[DELTA_], x[F_], chi2[i] = closest_apart(A, columns, orders, lossy, W, s)
                 x[DELTA_] = -x[DELTA_]
             continue
         Delta = 0.5 * x[DELTA_] / A
@@ -517,6 +518,7 @@ def settle(
                     )
                     F = m.F0 + m.F1 * m.S
                     x[S_], x[F_], x[C_] = m.S, F, m.c0 + m.c1 * m.S + m.c2 * F
+                    chi2[i] = m.rest
                 step = there - t
                 ahead = step
                 if careful and k > 0 and step != step_before:
@@ -532,7 +534,7 @@ def settle(
                 break
         if not done:
             x[:] = math.nan
-            spread[i] = math.nan
+            spread[i], chi2[i] = math.nan, math.nan
 
 
 @inner

@@ -120,15 +120,16 @@ def map_solutions(
     def run(block: slice) -> None:
         pixels = setting.pixels(block, 0.0)
         solutions, spreads, best, chi2, count = _solve(pixels)
-        before = count.copy()
+        before, rests = count.copy(), np.repeat(chi2[:, None], exact.MOST, axis=1)
         if full_motion:
-            _settle(pixels, solutions, spreads, best, count)
+            _settle(pixels, solutions, spreads, rests, best, count)
         lost = (before > 0) & ~np.isfinite(solutions[:, :, exact.DELTA_]).any(axis=1)
-        _sort(solutions, spreads, count)
+        _sort(solutions, spreads, rests, count)
         some = count > 0
         deepest = np.clip(count - 1, 0, exact.MOST - 1)
         chosen = np.take_along_axis(solutions, deepest[:, None, None], 1)[:, 0]
         spread = np.take_along_axis(spreads, deepest[:, None], 1)[:, 0]
+        chi2 = np.where(some, np.take_along_axis(rests, deepest[:, None], 1)[:, 0], chi2)
         answer = np.where(some[:, None], chosen, best)
         value, share = property_of(columns, answer[:, exact.S_])
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -190,7 +191,12 @@ def map_solutions(
         return solutions, spreads, best, chi2, count
 
     def _settle(
-        pixels: Pixels, solutions: _Floats, spreads: _Floats, best: _Floats, count: npt.NDArray[np.int8]
+        pixels: Pixels,
+        solutions: _Floats,
+        spreads: _Floats,
+        rests: _Floats,
+        best: _Floats,
+        count: npt.NDArray[np.int8],
     ) -> None:
         """Move every solution to the full motion; those that come to no rest, or to the same one, are none.
 
@@ -199,7 +205,7 @@ def map_solutions(
         none = (count == 0) & (best[:, exact.DELTA_] > 0.0)
         solutions[none, 0], spreads[none, 0] = best[none], 1.0
         for k in range(exact.MOST):
-            one, spread = np.ascontiguousarray(solutions[:, k]), np.ascontiguousarray(spreads[:, k])
+            one, spread, rest = (np.ascontiguousarray(part[:, k]) for part in (solutions, spreads, rests))
             settle(
                 pixels.y,
                 pixels.whitening,
@@ -211,15 +217,16 @@ def map_solutions(
                 pixels.known,
                 one,
                 spread,
+                rest,
             )
             depth = one[:, exact.DELTA_]
             for j in range(k):
                 with np.errstate(invalid="ignore"):
                     again = np.abs(depth - solutions[:, j, exact.DELTA_]) < _SAME * np.abs(depth)
                 one[again] = math.nan
-            solutions[:, k], spreads[:, k] = one, spread
+            solutions[:, k], spreads[:, k], rests[:, k] = one, spread, rest
 
-    def _sort(solutions: _Floats, spreads: _Floats, count: npt.NDArray[np.int8]) -> None:
+    def _sort(solutions: _Floats, spreads: _Floats, rests: _Floats, count: npt.NDArray[np.int8]) -> None:
         """Drop what no sample under this tip can have, and put the deepest last, none beyond it."""
         S, F = solutions[:, :, exact.S_], solutions[:, :, exact.F_]
         solutions[(box.stiffest < S) | (F > _STRONGEST)] = math.nan
@@ -227,6 +234,7 @@ def map_solutions(
         order = np.argsort(np.where(np.isnan(depth), np.inf, depth), axis=1)
         solutions[:] = np.take_along_axis(solutions, order[:, :, None], 1)
         spreads[:] = np.take_along_axis(spreads, order, 1)
+        rests[:] = np.take_along_axis(rests, order, 1)
         found = np.isfinite(solutions[:, :, exact.DELTA_]).sum(axis=1)
         count[count >= 0] = found[count >= 0]
 
