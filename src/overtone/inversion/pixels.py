@@ -25,6 +25,7 @@ _Floats = npt.NDArray[np.float64]
 _Complex = npt.NDArray[np.complex128]
 
 _STEP = 1e-4
+_FARTHEST = 10.0  # free amplitudes beyond which a reading is none
 
 
 class Pixels(NamedTuple):
@@ -178,7 +179,9 @@ class Setting:
             pull = -exponent * along
             left = np.maximum(exponent**2 * ((of_radius**2).sum() - (along**2).sum(axis=1)), 0.0)
             pull[~usable], left[~usable] = 0.0, 0.0
-        usable &= (amplitude[:, self.orders.index(1)] > 0.0) & np.isfinite(of_the_tip)
+        first = amplitude[:, self.orders.index(1)]
+        with np.errstate(invalid="ignore"):
+            usable &= (first > 0.0) & (first < _FARTHEST * abs(self.reader.free)) & np.isfinite(of_the_tip)
         known = np.ascontiguousarray(f[:, [i for i, n in enumerate(self.orders) if n > 1]])
         return Pixels(y, W, of_noise, of_the_tip, usable, known, pull, left)
 

@@ -48,10 +48,10 @@ MEAN_, SPREAD_, EVIDENCE_, CONTACT_, MISFIT_ = 0, 1, 2, 3, 4
 _STRIDE = 6  # of the table, in the first look at the valley
 _REACH = 20.0  # of chi-squared beyond its least, where the sum over the indentation ends
 _INNER_REACH = 14.0
-_ACROSS, _MOST_ACROSS = 7, 31  # nodes along ln E at one indentation
-_ALONG, _MOST_ALONG = 17, 51  # nodes along the indentation
-_WIDTH_ALONG = 0.4  # of t, between nodes where the valley is long
-_WIDTH_ACROSS = 0.8
+_ACROSS, _MOST_ACROSS = 9, 37  # nodes along ln E at one indentation
+_ALONG, _MOST_ALONG = 21, 61  # nodes along the indentation
+_WIDTH_ALONG = 0.3  # of t, between nodes where the valley is long
+_WIDTH_ACROSS = 0.6
 _MODES = 3
 _BINS = 160
 _GAP_NODES = 61
@@ -85,7 +85,9 @@ class Prior(NamedTuple):
     tangent_high: float
     """Largest loss tangent; all of them alike from 0."""
     shallowest: float
-    """Smallest indentation, or gap out of contact [m]; all of their logarithms alike."""
+    """Smallest indentation, or gap out of contact [m]; all of their logarithms alike, up to"""
+    deepest: float
+    """the largest indentation [m], or nearly twice the amplitude."""
     contact: float
     """Probability of contact."""
 
@@ -260,6 +262,8 @@ class Grid(NamedTuple):
     c: _Floats
     c_spread: _Floats
     S: _Floats
+    shift: _Floats
+    """Of ln E*, from what the residual says of the radius."""
     t: _Floats
     """(along,)."""
     cell: _Floats
@@ -277,6 +281,7 @@ def new_grid() -> Grid:
         np.zeros((most, _MOST_ACROSS)),
         np.zeros((most, _MOST_ACROSS)),
         np.zeros(most),
+        np.zeros((most, _MOST_ACROSS)),
         np.zeros((most, _MOST_ACROSS)),
         np.zeros((most, _MOST_ACROSS)),
         np.zeros((most, _MOST_ACROSS)),
@@ -301,27 +306,28 @@ def _stretches(
     s: Scratch,
     bounded: _Floats,
     bottom: float,
+    top: float,
     ends: _Floats,
-) -> tuple[int, float]:
-    """Fill the stretches of t that matter; return how many, and the least chi-squared.
+) -> tuple[int, float, float]:
+    """Fill the stretches of t that matter; return how many, the least chi-squared, and where it is.
 
-    ``bottom`` is the smallest t that the prior allows.
+    ``bottom`` and ``top`` are the t that the prior allows.
     """
     nodes = (NODES - 1) // _STRIDE + 1
     width = STEP * _STRIDE
     scan_valley(table, slot, share, scale, orders, lossy, W, sticky, loss, box, s, _STRIDE, bounded)
-    least = math.inf
+    least, deepest_at = math.inf, bottom
     minima = 0
     where, depth = np.empty(_MODES), np.empty(_MODES)
     for k in range(nodes):
         t = SHALLOWEST + width * k
-        if t < bottom - width:
+        if t < bottom - width or t > top + width:
             continue
         before = bounded[k - 1] if k > 0 and t - width > bottom - width else math.inf
-        after = bounded[k + 1] if k < nodes - 1 else math.inf
+        after = bounded[k + 1] if k < nodes - 1 and t + width < top + width else math.inf
         if not (bounded[k] <= before and bounded[k] < after):
             continue
-        low, high = max(t - width, bottom), min(t + width, DEEPEST)
+        low, high = max(t - width, bottom), min(t + width, top)
         if not low < high:
             continue
         near, value = lowest_between(
@@ -339,7 +345,8 @@ def _stretches(
                 for j in range(worst, _MODES - 1):
                     where[j], depth[j] = where[j + 1], depth[j + 1]
                 where[_MODES - 1], depth[_MODES - 1] = near, value
-        least = min(least, value)
+        if value < least:
+            least, deepest_at = value, near
     count = 0
     target = least + _REACH
     for j in range(minima):
@@ -349,7 +356,7 @@ def _stretches(
             continue  # within the stretch of the one before
         for side in range(2):
             way = -1.0 if side == 0 else 1.0
-            limit = bottom if side == 0 else DEEPEST
+            limit = bottom if side == 0 else top
             inside, at_inside = where[j], depth[j]
             # node by node until it is out
             place = (where[j] - SHALLOWEST) / width
@@ -370,7 +377,7 @@ def _stretches(
                 for _ in range(60):
                     x0, x1 = math.sqrt(max(at_inside - least, 0.0)), math.sqrt(at_outside - least)
                     part = (math.sqrt(_REACH) - x0) / (x1 - x0)
-                    middle = inside + min(max(part, 0.1), 0.9) * (outside - inside)
+                    middle = inside + min(max(part, 0.25), 0.75) * (outside - inside)
                     tabulated_columns(table, slot, share, scale, middle, orders, lossy, W, s)
                     value = solved(reduce(s, sticky, loss), s, sticky, box)[0]
                     if value > target:
@@ -379,14 +386,14 @@ def _stretches(
                             break
                     else:
                         inside, at_inside = middle, value
-                    if abs(outside - inside) < 0.1 * abs(inside - where[j]):
+                    if abs(outside - inside) < 0.01 * abs(inside - where[j]):
                         break
                 edge = outside
             ends[count, side] = edge
         if count > 0 and ends[count, 0] < ends[count - 1, 1]:
             ends[count, 0] = ends[count - 1, 1]
         count += 1
-    return count, least
+    return count, least, deepest_at
 
 
 @kernel
@@ -491,17 +498,35 @@ def posterior_pixels(
         for r in range(rows):
             log_norm += math.log(W[r, r])
         bottom = max(math.log(prior.shallowest / (2.0 * A - prior.shallowest)), SHALLOWEST)
-        deepest = 2.0 * A / (1.0 + math.exp(-DEEPEST))
-        log_prior_t = -math.log(deepest / (2.0 * A / (1.0 + math.exp(-bottom))))
+        top = DEEPEST
+        if prior.deepest < 2.0 * A / (1.0 + math.exp(-DEEPEST)):
+            top = math.log(prior.deepest / (2.0 * A - prior.deepest))
+        if not bottom < top:
+            continue
+        log_prior_t = -math.log(math.log((1.0 + math.exp(-bottom)) / (1.0 + math.exp(-top))))
         if places > 0:
             # where the bare cosine puts the valley, what the harmonics of the motion make of it
             whiten(W, y[i], bare.first)
-            count, _ = _stretches(
-                table, slot, share, scale, orders, lossy, W, sticky, loss, box, bare, bounded, bottom, ends
+            count, _, _ = _stretches(
+                table,
+                slot,
+                share,
+                scale,
+                orders,
+                lossy,
+                W,
+                sticky,
+                loss,
+                box,
+                bare,
+                bounded,
+                bottom,
+                top,
+                ends,
             )
             out[:] = 0.0
             s.shifts[:] = 0.0
-            size, least = 0.0, math.inf
+            size, least, best_t = 0.0, math.inf, bottom
             for r in range(rows):
                 size = max(size, abs(bare.first[r]))
             # where the difference moves the valley off the places that it was found at, it is found again
@@ -540,23 +565,38 @@ def posterior_pixels(
                         if whole_size * whole_size < _SMALL * size or change < _SMALL:
                             break
                     s.shifts[j, rows] = 0.0
-                count, least = _stretches(
-                    table, slot, share, scale, orders, lossy, W, sticky, loss, box, s, bounded, bottom, ends
+                count, least, best_t = _stretches(
+                    table,
+                    slot,
+                    share,
+                    scale,
+                    orders,
+                    lossy,
+                    W,
+                    sticky,
+                    loss,
+                    box,
+                    s,
+                    bounded,
+                    bottom,
+                    top,
+                    ends,
                 )
                 if ends[0, 0] >= low and ends[count - 1, 1] <= high:
                     break
         else:
-            count, least = _stretches(
-                table, slot, share, scale, orders, lossy, W, sticky, loss, box, s, bounded, bottom, ends
+            count, least, best_t = _stretches(
+                table, slot, share, scale, orders, lossy, W, sticky, loss, box, s, bounded, bottom, top, ends
             )
         nodes, total, most = 0, 0.0, 0.0
         mean, square = 0.0, 0.0
         for stretch in range(count):
             low, high = ends[stretch, 0], ends[stretch, 1]
             n = min(max(_ALONG, int((high - low) / _WIDTH_ALONG) + 1), _MOST_ALONG)
-            step = (high - low) / (n - 1)
+            # an end may be a bound, at which the sum stops short: every node in the middle of its cell
+            step = (high - low) / n
             for j in range(n):
-                t = low + step * j
+                t = low + step * (j + 0.5)
                 Delta = tabulated_columns(table, slot, share, scale, t, orders, lossy, W, s)
                 m = reduce(s, sticky, loss)
                 grid.t[nodes], grid.cell[nodes], grid.members[nodes] = t, 0.5 * step, 0
@@ -573,7 +613,7 @@ def posterior_pixels(
                 last = math.log(sample_modulus(contact, S_high)) if S_high < box.stiffest else prior.log_high
                 members = min(_ACROSS + 2 * int((last - first) / _WIDTH_ACROSS), _MOST_ACROSS)
                 span = (last - first) / (members - 1)
-                share_of_node = step * span * (1.0 - Delta) * (0.5 if j == 0 or j == n - 1 else 1.0)
+                share_of_node = step * span * (1.0 - Delta)
                 constant = log_norm + log_prior + log_prior_t + log_prior_F
                 if m.beta2 > 0.0:
                     constant += _LOG_ROOT_2PI - 0.5 * math.log(m.beta2)
@@ -592,7 +632,7 @@ def posterior_pixels(
                     S = contact.factor / (contact.tip_compliance + contact.sample_factor * math.exp(-x))
                     away = S - m.S
                     exponent = -0.5 * (m.rest + m.alpha2 * away * away - least)
-                    F, c, spread_c, mass = 0.0, 0.0, 0.0, 1.0
+                    F, c, spread_c, mass, shift = 0.0, 0.0, 0.0, 1.0, 0.0
                     if m.beta2 > 0.0:
                         F = m.F0 + m.F1 * S
                         mass, more = gauss_mass(prior.adhesion_low, prior.adhesion_high, F, sigma_F)
@@ -615,11 +655,14 @@ def posterior_pixels(
                         weight *= 0.5
                     # what the residual says of the radius, through errors that both share
                     if variance_R > 0.0:
-                        x += uy - S * ua - F * ub - c * uv
+                        shift = uy - S * ua - F * ub - c * uv
+                        # of a sample beside its tip: the tip's own compliance takes no part
+                        x += shift / (1.0 - contact.tip_compliance * S / contact.factor)
                     grid.weight[nodes, k], grid.x[nodes, k] = weight, x
                     grid.F[nodes, k] = F
                     if loss:
                         grid.c[nodes, k], grid.c_spread[nodes, k], grid.S[nodes, k] = c, spread_c, S
+                        grid.shift[nodes, k] = shift
                     total += weight
                     mean += weight * x
                     square += weight * x * x
@@ -627,11 +670,14 @@ def posterior_pixels(
                     most = max(most, weight)
                 grid.members[nodes], grid.F_spread[nodes] = members, sigma_F
                 nodes += 1
-        evidence = 0.0
+        evidence, variance_E = 0.0, variance_R
         if total > 0.0:
             mean /= total
+            # the radius moves E*: of a stiff sample its modulus by more
+            stiff = stiffness(contact, math.exp(mean))[0]
+            variance_E = variance_R / (1.0 - contact.tip_compliance * stiff / contact.factor) ** 2
             summary[i, MEAN_] = mean
-            summary[i, SPREAD_] = math.sqrt(max(square / total - mean * mean, 0.0) + variance_R)
+            summary[i, SPREAD_] = math.sqrt(max(square / total - mean * mean, 0.0) + variance_E)
             evidence = total
         reference = least
         apart_total = 0.0
@@ -661,6 +707,18 @@ def posterior_pixels(
             summary[i, CONTACT_] = together / (together + apart_total)
             summary[i, EVIDENCE_] = math.log(together + apart_total) - 0.5 * reference + log_norm
         summary[i, MISFIT_] = reference
+        if least <= reference:
+            # of the data alone: a prior of adhesion is none of them
+            tabulated_columns(table, slot, share, scale, best_t, orders, lossy, W, s)
+            _, m, S = solved(reduce(s, sticky, loss), s, sticky, box)
+            F = m.F0 + m.F1 * S if m.beta2 > 0.0 else 0.0
+            F = min(max(F, box.weakest), box.strongest)
+            c = m.c0 + m.c1 * S + m.c2 * F
+            misfit = 0.0
+            for r in range(rows):
+                left_over = s.wy[r] - S * s.wa[r] - F * s.wb[r] - c * s.wv[r]
+                misfit += left_over * left_over
+            summary[i, MISFIT_] = misfit
         if not total > 0.0 or not whole or summary[i, CONTACT_] < 0.5:
             continue
         F_low, F_high = prior.adhesion_high, prior.adhesion_low
@@ -683,13 +741,16 @@ def posterior_pixels(
         for q in range(QUANTITIES):
             if q == INDENTATION_ or (q == ADHESION_ and not sticky) or (q >= LOSS_ and not loss):
                 continue
-            more = 4.0 * math.sqrt(variance_R) + 1e-9 + 0.02 * (x_high - x_low)
+            more = 4.0 * math.sqrt(variance_E) + 1e-9 + 0.02 * (x_high - x_low)
             low, high = x_low - more, x_high + more
             if q == ADHESION_:
                 low, high = F_low, F_high
             elif q == LOSS_:
-                high = math.log(c_high)
-                low = max(math.log(c_low) if c_low > 0.0 else -math.inf, high - _DECADES * math.log(10.0))
+                more = 6.0 * math.sqrt(variance_R)  # viscosity goes with the radius as E* does
+                high = math.log(c_high) + more
+                low = max(
+                    math.log(c_low) - more if c_low > 0.0 else -math.inf, high - _DECADES * math.log(10.0)
+                )
             elif q == TANGENT_:
                 low, high = tangent_low, tangent_high
             width = (high - low) / _BINS
@@ -722,6 +783,7 @@ def posterior_pixels(
                     if q == MODULUS_:
                         _spread_over(histogram, low, width, middle - half, middle + half, weight)
                         continue
+                    factor_q = 1.0
                     if q == ADHESION_:
                         sigma, least_q, most_q = grid.F_spread[j], prior.adhesion_low, prior.adhesion_high
                     else:
@@ -729,12 +791,17 @@ def posterior_pixels(
                         half = min(half, 2.0 * sigma)
                         if q == TANGENT_:
                             S = grid.S[j, k]
-                            middle, half, sigma, most_q = middle / S, half / S, sigma / S, prior.tangent_high
+                            factor_q = 1.0 / S
+                        else:
+                            factor_q = math.exp(grid.shift[j, k])
+                        middle, half, sigma = factor_q * middle, factor_q * half, factor_q * sigma
+                        most_q = factor_q * most_q if q == LOSS_ else prior.tangent_high
                     _add_gaussian(
                         histogram, low, width, middle, half, sigma, least_q, most_q, q == LOSS_, weight
                     )
-            if q == MODULUS_ and variance_R > (0.3 * width) ** 2:
-                _smear(histogram, math.sqrt(variance_R) / width, work)
+            of_radius = variance_E if q == MODULUS_ else variance_R if q == LOSS_ else 0.0
+            if of_radius > (0.3 * width) ** 2:
+                _smear(histogram, math.sqrt(of_radius) / width, work)
             _quantiles(histogram, low, width, quantiles[i, q])
             if q == LOSS_:
                 for level in range(LEVELS.shape[0]):
@@ -744,12 +811,7 @@ def posterior_pixels(
         for j in range(nodes):
             above = below + along[j]
             while level < LEVELS.shape[0] and above >= LEVELS[level] * total and along[j] > 0.0:
-                left = grid.t[j] - grid.cell[j] * (
-                    1.0 if j > 0 and grid.t[j] - grid.t[j - 1] < 3.0 * grid.cell[j] else 0.0
-                )
-                right = grid.t[j] + grid.cell[j] * (
-                    1.0 if j + 1 < nodes and grid.t[j + 1] - grid.t[j] < 3.0 * grid.cell[j] else 0.0
-                )
+                left, right = grid.t[j] - grid.cell[j], grid.t[j] + grid.cell[j]
                 t = left + (right - left) * (LEVELS[level] * total - below) / along[j]
                 quantiles[i, INDENTATION_, level] = 2.0 * A / (1.0 + math.exp(-t))
                 level += 1

@@ -116,6 +116,8 @@ def complete_priors(
             raise InversionError(
                 f"a prior of {name} does not fit", expected=" or ".join(_KINDS[name]), got=prior.kind
             )
+        if name == "loss_tangent" and prior.first != 0.0:
+            raise InversionError("a prior of the loss tangent begins at 0", got=f"{prior.first:g}")
         if name in priors:
             priors[name] = prior
     return priors
@@ -167,6 +169,7 @@ def for_kernel(priors: Mapping[str, Prior], first: str) -> KernelPrior:
         F_precision,
         tangent.second,
         priors["indentation"].first,
+        priors["indentation"].second,
         CONTACT,
     )
 
