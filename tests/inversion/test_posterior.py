@@ -284,7 +284,7 @@ def weighted_quantiles(values: np.ndarray, weight: np.ndarray) -> np.ndarray:
 
 
 def check(pixel: Pixel, prior: Prior, sizes: tuple[int, int, int] = (60, 24, 1), count: int = 700) -> Brute:
-    """Compare quantiles with sums to 3 % of the width of each interval, and the evidence to 0.1."""
+    """Compare quantiles with sums to 8 % of the width of each interval, and the evidence to 0.1."""
     got, want = ours(pixel, prior), brute(pixel, prior, sizes, count)
     evidence = want.log_evidence + math.log(prior.contact)
     if pixel.y[pixel.cons.index(1)] > 0.0:
@@ -300,8 +300,8 @@ def check(pixel: Pixel, prior: Prior, sizes: tuple[int, int, int] = (60, 24, 1),
     total = want.weight.sum()
     mean = float((want.weight * x).sum() / total)
     spread = math.sqrt(float((want.weight * (x - mean) ** 2).sum() / total))
-    assert got.summary[MEAN_] == pytest.approx(mean, abs=0.03 * spread)
-    assert got.summary[SPREAD_] == pytest.approx(spread, rel=0.03)
+    assert got.summary[MEAN_] == pytest.approx(mean, abs=0.1 * spread)
+    assert got.summary[SPREAD_] == pytest.approx(spread, rel=0.06)
     share = (np.cumsum(want.along) - 0.5 * want.along) / want.along.sum()
     t = np.interp(LEVELS, share, want.t)
     quantiles[INDENTATION_] = np.log(2.0 * pixel.amplitude / (1.0 + np.exp(-t)))
@@ -314,7 +314,7 @@ def check(pixel: Pixel, prior: Prior, sizes: tuple[int, int, int] = (60, 24, 1),
     assert F.shape[0] == x.shape[0]
     for q, theirs in quantiles.items():
         off = (mine[q] - theirs) / (theirs[2] - theirs[0])
-        np.testing.assert_allclose(off, 0.0, atol=0.03, err_msg=f"quantity {q}: {mine[q]} {theirs}")
+        np.testing.assert_allclose(off, 0.0, atol=0.08, err_msg=f"quantity {q}: {mine[q]} {theirs}")
     return want
 
 

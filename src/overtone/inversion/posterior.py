@@ -4,6 +4,10 @@ With Gaussian errors the force of adhesion and the loss integrate out in closed 
 within their bounds; the two that are left are summed over a grid that follows the valley of the misfit, wherever it
 bends. What comes out are marginal distributions, as medians and 90 % intervals, and the evidence: the probability of
 the data under the model and the priors. Out of contact the attraction alone is left, and the sum is over the gap.
+
+The grid is as coarse as honest intervals allow: against sums on dense grids their ends lie within 8 % of their width,
+most within 3 %, and ln Z within 0.1. Where a property has a bound in the middle of a wide posterior the error is
+largest.
 """
 
 from __future__ import annotations
@@ -16,11 +20,12 @@ import numpy.typing as npt
 
 from overtone.inversion.columns import Columns, adhesive
 from overtone.inversion.exact import apart, gap_range, has_reach, lowest_between, scan_valley
-from overtone.inversion.linear import sample_modulus, stiffness
+from overtone.inversion.linear import Contact, sample_modulus, stiffness
 from overtone.inversion.motion import Followed, difference_at, new_room
 from overtone.inversion.table import DEEPEST, NODES, SHALLOWEST, STEP, Table, locate
 from overtone.inversion.valley import (
     Box,
+    Reduced,
     Scratch,
     best_S,
     chi2_at,
@@ -48,10 +53,13 @@ MEAN_, SPREAD_, EVIDENCE_, CONTACT_, MISFIT_ = 0, 1, 2, 3, 4
 _STRIDE = 6  # of the table, in the first look at the valley
 _REACH = 20.0  # of chi-squared beyond its least, where the sum over the indentation ends
 _INNER_REACH = 14.0
-_ACROSS, _MOST_ACROSS = 9, 37  # nodes along ln E at one indentation
+_CORE = 9.0  # of chi-squared, within which a minimum has its core
+_NARROW_CORE = 0.4  # of its stretch
+_ACROSS, _MOST_ACROSS = 9, 37  # even nodes along ln E at one indentation
 _ALONG, _MOST_ALONG = 21, 61  # nodes along the indentation
-_WIDTH_ALONG = 0.3  # of t, between nodes where the valley is long
+_WIDTH_ALONG = 0.2  # of t, between nodes where the valley is long
 _WIDTH_ACROSS = 0.6
+_WIDTH_OF_A_PIECE, _MOST_PIECES = 1.5, 7  # of ln E, of Gauss's rule between two bends
 _MODES = 3
 _BINS = 160
 _GAP_NODES = 61
@@ -61,8 +69,19 @@ _PLACES = 3  # at which the difference that the harmonics of the motion make is 
 _BESIDE = 0.2
 _MOST_PASSES = 8
 _SMALL = 0.05  # standard deviations of the noise
+_ALONE = 0.2  # of them, that one pass leaves: about the difference, times its share of the data
 _DECADES = 8.0  # of S tan(delta), below its largest
 _ROOT_2 = math.sqrt(2.0)
+
+
+def _rule(nodes: int) -> _Floats:
+    """Return places and weights of Gauss's rule over 0..1."""
+    x, w = np.polynomial.legendre.leggauss(nodes)
+    return np.array([0.5 * (1.0 + x), 0.5 * w])
+
+
+_GAUSS = _rule(6)
+_WIDEST = max(_MOST_ACROSS, 5 * _MOST_PIECES * 6)
 _LOG_ROOT_2PI = 0.5 * math.log(2.0 * math.pi)
 
 
@@ -275,20 +294,79 @@ class Grid(NamedTuple):
 @inner
 def new_grid() -> Grid:
     """Return a grid for a pixel."""
-    most = _MODES * _MOST_ALONG
+    most = 3 * _MODES * _MOST_ALONG
     return Grid(
-        np.zeros((most, _MOST_ACROSS)),
-        np.zeros((most, _MOST_ACROSS)),
-        np.zeros((most, _MOST_ACROSS)),
+        np.zeros((most, _WIDEST)),
+        np.zeros((most, _WIDEST)),
+        np.zeros((most, _WIDEST)),
         np.zeros(most),
-        np.zeros((most, _MOST_ACROSS)),
-        np.zeros((most, _MOST_ACROSS)),
-        np.zeros((most, _MOST_ACROSS)),
-        np.zeros((most, _MOST_ACROSS)),
+        np.zeros((most, _WIDEST)),
+        np.zeros((most, _WIDEST)),
+        np.zeros((most, _WIDEST)),
+        np.zeros((most, _WIDEST)),
         np.zeros(most),
         np.zeros(most),
         np.zeros(most, np.int64),
     )
+
+
+@inner
+def _edge(
+    table: Table,
+    slot: int,
+    share: float,
+    scale: float,
+    orders: npt.NDArray[np.int64],
+    lossy: npt.NDArray[np.bool_],
+    W: _Floats,
+    sticky: bool,
+    loss: bool,
+    box: Box,
+    s: Scratch,
+    bounded: _Floats,
+    where: float,
+    depth: float,
+    least: float,
+    reach: float,
+    limit: float,
+    up: bool,
+) -> float:
+    """Return the t above or below a minimum at which chi-squared has risen by a reach over ``least``, or the limit.
+
+    ``bounded`` holds chi-squared at the nodes of `scan_valley`.
+    """
+    width, target = STEP * _STRIDE, least + reach
+    inside, at_inside, outside, at_outside = where, depth, limit, math.inf
+    # node by node until it is out
+    place = (where - SHALLOWEST) / width
+    k = math.floor(place) + 1 if up else math.ceil(place) - 1
+    while 0 <= k < bounded.shape[0]:
+        t = SHALLOWEST + width * k
+        if (t >= limit) if up else (t <= limit):
+            break
+        if bounded[k] > target:
+            outside, at_outside = t, bounded[k]
+            break
+        inside, at_inside = t, bounded[k]
+        k += 1 if up else -1
+    if at_outside == math.inf:
+        return limit
+    # until the end of the stretch is known to a part of its length
+    for _ in range(60):
+        x0, x1 = math.sqrt(max(at_inside - least, 0.0)), math.sqrt(at_outside - least)
+        part = (math.sqrt(reach) - x0) / (x1 - x0)
+        middle = inside + min(max(part, 0.25), 0.75) * (outside - inside)
+        tabulated_columns(table, slot, share, scale, middle, orders, lossy, W, s)
+        value = solved(reduce(s, sticky, loss), s, sticky, box)[0]
+        if value > target:
+            outside, at_outside = middle, value
+            if value < target + 0.3 * reach:
+                break
+        else:
+            inside, at_inside = middle, value
+        if abs(outside - inside) < 0.01 * abs(inside - where):
+            break
+    return outside
 
 
 @inner
@@ -308,8 +386,9 @@ def _stretches(
     bottom: float,
     top: float,
     ends: _Floats,
+    cores: _Floats,
 ) -> tuple[int, float, float]:
-    """Fill the stretches of t that matter; return how many, the least chi-squared, and where it is.
+    """Fill the stretches of t that matter, and the core of each; return how many, the least chi-squared, and where.
 
     ``bottom`` and ``top`` are the t that the prior allows.
     """
@@ -355,45 +434,114 @@ def _stretches(
         if count > 0 and where[j] <= ends[count - 1, 1]:
             continue  # within the stretch of the one before
         for side in range(2):
-            way = -1.0 if side == 0 else 1.0
             limit = bottom if side == 0 else top
-            inside, at_inside = where[j], depth[j]
-            # node by node until it is out
-            place = (where[j] - SHALLOWEST) / width
-            k = math.ceil(place) - 1 if side == 0 else math.floor(place) + 1
-            outside, at_outside = limit, math.inf
-            while 0 <= k < nodes:
-                t = SHALLOWEST + width * k
-                if (t - limit) * way >= 0.0:
-                    break
-                if bounded[k] > target:
-                    outside, at_outside = t, bounded[k]
-                    break
-                inside, at_inside = t, bounded[k]
-                k += 1 if side else -1
-            edge = limit
-            if at_outside < math.inf:
-                # until the end of the stretch is known to a part of its length
-                for _ in range(60):
-                    x0, x1 = math.sqrt(max(at_inside - least, 0.0)), math.sqrt(at_outside - least)
-                    part = (math.sqrt(_REACH) - x0) / (x1 - x0)
-                    middle = inside + min(max(part, 0.25), 0.75) * (outside - inside)
-                    tabulated_columns(table, slot, share, scale, middle, orders, lossy, W, s)
-                    value = solved(reduce(s, sticky, loss), s, sticky, box)[0]
-                    if value > target:
-                        outside, at_outside = middle, value
-                        if value < target + 0.3 * _REACH:
-                            break
-                    else:
-                        inside, at_inside = middle, value
-                    if abs(outside - inside) < 0.01 * abs(inside - where[j]):
-                        break
-                edge = outside
-            ends[count, side] = edge
+            for inner_one in range(2):
+                reach = _CORE if inner_one else _REACH
+                edge = _edge(
+                    table,
+                    slot,
+                    share,
+                    scale,
+                    orders,
+                    lossy,
+                    W,
+                    sticky,
+                    loss,
+                    box,
+                    s,
+                    bounded,
+                    where[j],
+                    depth[j],
+                    depth[j] if inner_one else least,
+                    reach,
+                    limit,
+                    side == 1,
+                )
+                if inner_one:
+                    cores[count, side] = edge
+                else:
+                    ends[count, side] = edge
         if count > 0 and ends[count, 0] < ends[count - 1, 1]:
             ends[count, 0] = ends[count - 1, 1]
         count += 1
     return count, least, deepest_at
+
+
+@inner
+def _across(
+    m: Reduced,
+    box: Box,
+    tangent_high: float,
+    contact: Contact,
+    S_low: float,
+    S_high: float,
+    first: float,
+    last: float,
+    whole_width: bool,
+    bends: _Floats,
+    across: _Floats,
+) -> int:
+    """Fill places and weights of a sum over ln of the first unknown at one indentation; return how many.
+
+    Evenly where the integrand falls off on both sides; else by Gauss's rule between the ends and where a bound of the
+    force of adhesion or of the loss begins to hold: it turns off sharply there.
+    """
+    count = 0
+    for k in range(4):
+        S = math.nan
+        if k < 2 and m.beta2 > 0.0 and m.F1 != 0.0:
+            S = ((box.weakest if k == 0 else box.strongest) - m.F0) / m.F1
+        elif k >= 2 and m.gamma2 > 0.0:
+            # no loss, or the largest loss tangent
+            slope = m.c1 + m.c2 * m.F1 - (tangent_high if k == 3 else 0.0)
+            S = -(m.c0 + m.c2 * m.F0) / slope if slope != 0.0 else math.nan
+        if S_low < S < S_high:
+            bends[count] = math.log(sample_modulus(contact, S))
+            count += 1
+    if count == 0 and whole_width:
+        members = min(_ACROSS + 2 * int((last - first) / _WIDTH_ACROSS), _MOST_ACROSS)
+        span = (last - first) / (members - 1)
+        for k in range(members):
+            across[0, k] = first + span * k
+            across[1, k] = span * (0.5 if k == 0 or k == members - 1 else 1.0)
+        return members
+    bends[count] = last
+    for i in range(count):  # few: by exchange
+        for j in range(i + 1, count):
+            if bends[j] < bends[i]:
+                bends[i], bends[j] = bends[j], bends[i]
+    members, start = 0, first
+    for i in range(count + 1):
+        width = bends[i] - start
+        pieces = min(1 + int(width / _WIDTH_OF_A_PIECE), _MOST_PIECES)
+        for j in range(pieces):
+            for k in range(_GAUSS.shape[1]):
+                across[0, members] = start + width * (j + _GAUSS[0, k]) / pieces
+                across[1, members] = width * _GAUSS[1, k] / pieces
+                members += 1
+        start = bends[i]
+    return members
+
+
+@inner
+def _partition(ends: _Floats, cores: _Floats, count: int, parts: _Floats) -> int:
+    """Fill the stretches, those with a narrow core in three parts; return how many there are.
+
+    A peak on a plateau needs nodes as close as it is narrow, and the plateau does not.
+    """
+    found = 0
+    for k in range(count):
+        low, high = ends[k, 0], ends[k, 1]
+        first, last = max(cores[k, 0], low), min(cores[k, 1], high)
+        if not last - first < _NARROW_CORE * (high - low):
+            parts[found, 0], parts[found, 1] = low, high
+            found += 1
+            continue
+        for start, stop in ((low, first), (first, last), (last, high)):
+            if stop - start > 1e-9:
+                parts[found, 0], parts[found, 1] = start, stop
+                found += 1
+    return found
 
 
 @kernel
@@ -454,8 +602,9 @@ def posterior_pixels(
     sticky, loss = adhesive(columns), columns.loss > 0.0
     contact = columns.contact
     bounded = np.empty((NODES - 1) // _STRIDE + 1)
-    ends = np.empty((_MODES, 2))
+    ends, cores, parts = np.empty((_MODES, 2)), np.empty((_MODES, 2)), np.empty((3 * _MODES, 2))
     grid = new_grid()
+    bends, across = np.empty(5), np.empty((2, _WIDEST))
     along = np.empty(grid.t.shape[0])
     histogram, work = np.empty(_BINS), np.empty(_BINS)
     root_F = math.sqrt(prior.adhesion_precision)
@@ -523,6 +672,7 @@ def posterior_pixels(
                 bottom,
                 top,
                 ends,
+                cores,
             )
             out[:] = 0.0
             s.shifts[:] = 0.0
@@ -562,7 +712,7 @@ def posterior_pixels(
                             whole_size = max(whole_size, abs(whitened[r]))
                             change = max(change, abs(whitened[r] - s.shifts[j, r]))
                             s.shifts[j, r] = whitened[r]
-                        if whole_size * whole_size < _SMALL * size or change < _SMALL:
+                        if whole_size * whole_size < _ALONE * size or change < _SMALL:
                             break
                     s.shifts[j, rows] = 0.0
                 count, least, best_t = _stretches(
@@ -581,17 +731,34 @@ def posterior_pixels(
                     bottom,
                     top,
                     ends,
+                    cores,
                 )
                 if ends[0, 0] >= low and ends[count - 1, 1] <= high:
                     break
         else:
             count, least, best_t = _stretches(
-                table, slot, share, scale, orders, lossy, W, sticky, loss, box, s, bounded, bottom, top, ends
+                table,
+                slot,
+                share,
+                scale,
+                orders,
+                lossy,
+                W,
+                sticky,
+                loss,
+                box,
+                s,
+                bounded,
+                bottom,
+                top,
+                ends,
+                cores,
             )
         nodes, total, most = 0, 0.0, 0.0
         mean, square = 0.0, 0.0
+        count = _partition(ends, cores, count, parts)
         for stretch in range(count):
-            low, high = ends[stretch, 0], ends[stretch, 1]
+            low, high = parts[stretch, 0], parts[stretch, 1]
             n = min(max(_ALONG, int((high - low) / _WIDTH_ALONG) + 1), _MOST_ALONG)
             # an end may be a bound, at which the sum stops short: every node in the middle of its cell
             step = (high - low) / n
@@ -611,9 +778,21 @@ def posterior_pixels(
                     continue
                 first = math.log(sample_modulus(contact, S_low)) if S_low > box.softest else prior.log_low
                 last = math.log(sample_modulus(contact, S_high)) if S_high < box.stiffest else prior.log_high
-                members = min(_ACROSS + 2 * int((last - first) / _WIDTH_ACROSS), _MOST_ACROSS)
-                span = (last - first) / (members - 1)
-                share_of_node = step * span * (1.0 - Delta)
+                whole_width = S_low > box.softest and S_high < box.stiffest
+                members = _across(
+                    m,
+                    box,
+                    prior.tangent_high,
+                    contact,
+                    S_low,
+                    S_high,
+                    first,
+                    last,
+                    whole_width,
+                    bends,
+                    across,
+                )
+                share_of_node = step * (1.0 - Delta)
                 constant = log_norm + log_prior + log_prior_t + log_prior_F
                 if m.beta2 > 0.0:
                     constant += _LOG_ROOT_2PI - 0.5 * math.log(m.beta2)
@@ -628,7 +807,7 @@ def posterior_pixels(
                     uv += u[r] * s.wv[r]
                 sigma_F = 1.0 / math.sqrt(m.beta2) if m.beta2 > 0.0 else 0.0
                 for k in range(members):
-                    x = first + span * k
+                    x = across[0, k]
                     S = contact.factor / (contact.tip_compliance + contact.sample_factor * math.exp(-x))
                     away = S - m.S
                     exponent = -0.5 * (m.rest + m.alpha2 * away * away - least)
@@ -650,9 +829,7 @@ def posterior_pixels(
                         exponent += more
                     if prior.precision > 0.0:
                         exponent -= 0.5 * prior.precision * (x - prior.centre) ** 2
-                    weight = factor * mass * math.exp(exponent)
-                    if k == 0 or k == members - 1:
-                        weight *= 0.5
+                    weight = factor * across[1, k] * mass * math.exp(exponent)
                     # what the residual says of the radius, through errors that both share
                     if variance_R > 0.0:
                         shift = uy - S * ua - F * ub - c * uv
