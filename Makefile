@@ -26,10 +26,11 @@ demo:  ## the README's main command
 picture:  ## the picture of the README, made by the program
 	python docs/picture.py
 
-validation:  ## figures and tables of docs/validation.md and docs/instruments.md
+validation:  ## figures and tables of the pages that check, each made by its script
 	python docs/validation.py
 	python docs/instruments.py
-	python docs/instruments.py
+	python docs/posterior.py
+	python docs/identifiability.py
 
 clean:  ## what tests and builds leave behind
 	rm -rf .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks build dist overtone-demo
