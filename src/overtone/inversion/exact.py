@@ -15,8 +15,9 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from overtone.contact.terms import LINEAR_TAIL, VAN_DER_WAALS_TAIL, adhesion_harmonics
+from overtone.inversion.apart import closest_apart, has_reach
 from overtone.inversion.columns import Columns, adhesive, fill_columns
+from overtone.inversion.search import lowest_between, scan_valley
 from overtone.inversion.table import DEEPEST, NODES, SHALLOWEST, STEP, Table, interpolate, locate
 from overtone.inversion.valley import (
     Box,
@@ -29,7 +30,6 @@ from overtone.inversion.valley import (
     reduce,
     set_places,
     solved,
-    tabulated_columns,
     whiten,
 )
 from overtone.kernels import inlined, inner, kernel
@@ -56,15 +56,8 @@ _CLEARLY = 1e-3  # share of the forces by which adhesion may be negative before 
 _NEARLY = 0.05  # a minimum this close to zero, beside its neighbour, may be two roots
 _STEPS = 25
 _WINDOW = 2.5  # steps of the table that a root may lie from where it is looked for
-_MOST_STEPS = 100
 _CANDIDATES = 16
 _COARSE = 4  # stride where only the closest one within bounds is wanted
-_GOLDEN = 0.3819660112501051
-_GAPS = 60
-_EVEN = 0.02
-_NARROWEST = 1e-10
-_CLOSEST, _FARTHEST = 1e-4, 1e4
-"""Range of the gap out of contact, in units of a0."""
 _APART_999 = 10.827566170662733
 
 
@@ -407,100 +400,6 @@ def _roots(
     return count
 
 
-@inlined
-def _bounded_tabulated(
-    table: Table,
-    slot: int,
-    share: float,
-    scale: float,
-    t: float,
-    orders: _Orders,
-    lossy: _Flags,
-    W: _Floats,
-    sticky: bool,
-    loss: bool,
-    box: Box,
-    s: Scratch,
-) -> float:
-    """Return the least chi-squared within bounds at t, by the table."""
-    tabulated_columns(table, slot, share, scale, t, orders, lossy, W, s)
-    return solved(reduce(s, sticky, loss), s, sticky, box)[0]
-
-
-@inner
-def lowest_between(
-    table: Table,
-    slot: int,
-    share: float,
-    scale: float,
-    low: float,
-    high: float,
-    width: float,
-    orders: _Orders,
-    lossy: _Flags,
-    W: _Floats,
-    sticky: bool,
-    loss: bool,
-    box: Box,
-    s: Scratch,
-) -> tuple[float, float]:
-    """Return where the least chi-squared within bounds is smallest between two t, by golden section, and its size.
-
-    Derivatives jump where a bound begins to hold, so none are used.
-    """
-    x1, x2 = low + _GOLDEN * (high - low), high - _GOLDEN * (high - low)
-    f1, f2 = math.inf, math.inf
-    first = True  # which of the two is new
-    for step in range(_MOST_STEPS):
-        value = _bounded_tabulated(
-            table, slot, share, scale, x1 if first else x2, orders, lossy, W, sticky, loss, box, s
-        )
-        if first:
-            f1 = value
-        else:
-            f2 = value
-        if step == 0:
-            first = False
-            continue
-        # a narrow valley goes on until both sides are as good: chi-squared counts in units of the noise
-        if high - low <= width and (abs(f1 - f2) <= _EVEN or high - low <= _NARROWEST):
-            break
-        first = f1 < f2
-        if first:
-            high, x2, f2 = x2, x1, f1
-            x1 = low + _GOLDEN * (high - low)
-        else:
-            low, x1, f1 = x1, x2, f2
-            x2 = high - _GOLDEN * (high - low)
-    return (x1, f1) if f1 < f2 else (x2, f2)
-
-
-@inner
-def scan_valley(
-    table: Table,
-    slot: int,
-    share: float,
-    scale: float,
-    orders: _Orders,
-    lossy: _Flags,
-    W: _Floats,
-    sticky: bool,
-    loss: bool,
-    box: Box,
-    s: Scratch,
-    stride: int,
-    bounded: _Floats,
-) -> int:
-    """Fill the least chi-squared within bounds at every ``stride`` nodes of the table; return where it is least."""
-    least = 0
-    for k in range((NODES - 1) // stride + 1):
-        t = SHALLOWEST + STEP * stride * k
-        bounded[k] = _bounded_tabulated(table, slot, share, scale, t, orders, lossy, W, sticky, loss, box, s)
-        if bounded[k] < bounded[least]:
-            least = k
-    return least
-
-
 @inner
 def _least_squares(
     amplitude: float,
@@ -600,79 +499,6 @@ def _bounded_at(
     out[S_], out[F_], out[DELTA_] = S, F, 2.0 * amplitude * Delta
     out[C_] = m.c0 + m.c1 * S + m.c2 * F
     return chi2
-
-
-@inner
-def apart(
-    amplitude: float, gap: float, columns: Columns, orders: _Orders, lossy: _Flags, W: _Floats, s: Scratch
-) -> tuple[float, float, float]:
-    """Return chi-squared, the force of adhesion and the norm of its column where the tip stays a gap away."""
-    contact = columns.contact
-    n_max = s.work.shape[1] - 1
-    adhesion_harmonics(
-        contact.tail, amplitude, -0.5 * gap / amplitude, contact.a0, n_max, s.work[2], s.work[3]
-    )
-    for i in range(orders.shape[0]):
-        s.b[i] = 0.0 if lossy[i] else s.work[2, orders[i]]
-    whiten(W, s.b, s.wb)
-    yy, by, bb = 0.0, 0.0, 0.0
-    for i in range(orders.shape[0]):
-        bb += s.wb[i] * s.wb[i]
-        by += s.wb[i] * s.wy[i]
-    F = max(by / bb, 0.0) if bb > 0.0 else 0.0
-    for i in range(orders.shape[0]):
-        left = s.wy[i] - F * s.wb[i]
-        yy += left * left
-    return yy, F, bb
-
-
-@inner
-def has_reach(columns: Columns) -> bool:
-    """Return whether the attraction is felt out of contact."""
-    tail = columns.contact.tail
-    return bool(tail in (LINEAR_TAIL, VAN_DER_WAALS_TAIL))
-
-
-@inner
-def gap_range(columns: Columns, amplitude: float) -> tuple[float, float]:
-    """Return the logarithms of the smallest and the largest gap that are searched out of contact."""
-    a0 = columns.contact.a0
-    most = (
-        2.0 * a0 * (1.0 - 1e-9)
-        if columns.contact.tail == LINEAR_TAIL
-        else min(_FARTHEST * a0, 2.0 * amplitude)
-    )
-    return math.log(_CLOSEST * a0), math.log(most)
-
-
-@inner
-def closest_apart(
-    amplitude: float, columns: Columns, orders: _Orders, lossy: _Flags, W: _Floats, s: Scratch
-) -> tuple[float, float, float]:
-    """Return the gap that fits best, the force of adhesion and chi-squared there."""
-    start, stop = gap_range(columns, amplitude)
-    width = (stop - start) / (_GAPS - 1)
-    best, where = math.inf, 0
-    for k in range(_GAPS):
-        chi2, _, _ = apart(amplitude, math.exp(start + width * k), columns, orders, lossy, W, s)
-        if chi2 < best:
-            best, where = chi2, k
-    low, high = start + width * max(where - 1, 0), start + width * min(where + 1, _GAPS - 1)
-    x1, x2 = low + _GOLDEN * (high - low), high - _GOLDEN * (high - low)
-    f1 = apart(amplitude, math.exp(x1), columns, orders, lossy, W, s)[0]
-    f2 = apart(amplitude, math.exp(x2), columns, orders, lossy, W, s)[0]
-    while high - low > 1e-8:
-        if f1 < f2:
-            high, x2, f2 = x2, x1, f1
-            x1 = low + _GOLDEN * (high - low)
-            f1 = apart(amplitude, math.exp(x1), columns, orders, lossy, W, s)[0]
-        else:
-            low, x1, f1 = x1, x2, f2
-            x2 = high - _GOLDEN * (high - low)
-            f2 = apart(amplitude, math.exp(x2), columns, orders, lossy, W, s)[0]
-    gap = math.exp(0.5 * (low + high))
-    chi2, F, _ = apart(amplitude, gap, columns, orders, lossy, W, s)
-    return gap, F, chi2
 
 
 @inner

@@ -19,8 +19,10 @@ import numpy.typing as npt
 from overtone.contact.terms import LINEAR_TAIL, NO_ADHESION, VAN_DER_WAALS_TAIL, tail_shape
 from overtone.dynamics.balance import Motion, bottom, gap_at
 from overtone.harmonics import tip_receptance
+from overtone.inversion.apart import closest_apart
 from overtone.inversion.columns import Columns, adhesive, fill_columns
-from overtone.inversion.exact import C_, DELTA_, F_, S_, closest_apart, polish, scan_valley
+from overtone.inversion.exact import C_, DELTA_, F_, S_, polish
+from overtone.inversion.search import scan_valley
 from overtone.inversion.table import DEEPEST, NODES, SHALLOWEST, STEP, Table, locate
 from overtone.inversion.valley import (
     Box,

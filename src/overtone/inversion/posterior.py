@@ -18,11 +18,21 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from overtone.inversion.apart import apart, gap_range, has_reach
 from overtone.inversion.columns import Columns, adhesive
-from overtone.inversion.exact import apart, gap_range, has_reach, lowest_between, scan_valley
+from overtone.inversion.histogram import (
+    LEVELS,
+    add_gaussian,
+    fill_quantiles,
+    gauss_mass,
+    gauss_moments,
+    smear,
+    spread_over,
+)
 from overtone.inversion.linear import Contact, sample_modulus, stiffness
 from overtone.inversion.motion import Followed, difference_at, new_room
-from overtone.inversion.table import DEEPEST, NODES, SHALLOWEST, STEP, Table, locate
+from overtone.inversion.stretches import MODES, REACH, STRIDE, find_stretches, partition
+from overtone.inversion.table import DEEPEST, NODES, SHALLOWEST, Table, locate
 from overtone.inversion.valley import (
     Box,
     Reduced,
@@ -37,7 +47,7 @@ from overtone.inversion.valley import (
     tabulated_columns,
     whiten,
 )
-from overtone.kernels import inlined, inner, kernel
+from overtone.kernels import inner, kernel
 
 _Floats = npt.NDArray[np.float64]
 _Complex = npt.NDArray[np.complex128]
@@ -45,33 +55,25 @@ _Complex = npt.NDArray[np.complex128]
 QUANTITIES = 5
 MODULUS_, ADHESION_, INDENTATION_, LOSS_, TANGENT_ = 0, 1, 2, 3, 4
 """Quantities of an answer: ln of the first unknown, F_ad, indentation, S tan(delta), tan(delta)."""
-LEVELS = np.array([0.05, 0.5, 0.95])
 SUMMARIES = 5
 MEAN_, SPREAD_, EVIDENCE_, CONTACT_, MISFIT_ = 0, 1, 2, 3, 4
 """Summaries of an answer: mean and spread of ln of the first unknown, ln Z, probability of contact, chi-squared."""
 
-_STRIDE = 6  # of the table, in the first look at the valley
-_REACH = 20.0  # of chi-squared beyond its least, where the sum over the indentation ends
 _INNER_REACH = 14.0
-_CORE = 9.0  # of chi-squared, within which a minimum has its core
-_NARROW_CORE = 0.4  # of its stretch
 _ACROSS, _MOST_ACROSS = 9, 37  # even nodes along ln E at one indentation
 _ALONG, _MOST_ALONG = 21, 61  # nodes along the indentation
 _WIDTH_ALONG = 0.2  # of t, between nodes where the valley is long
 _WIDTH_ACROSS = 0.6
 _WIDTH_OF_A_PIECE, _MOST_PIECES = 1.5, 7  # of ln E, of Gauss's rule between two bends
-_MODES = 3
 _BINS = 160
 _GAP_NODES = 61
 _NEGLIGIBLE = 1e-6
-_PIECES = 8
 _PLACES = 3  # at which the difference that the harmonics of the motion make is found
 _BESIDE = 0.2
 _MOST_PASSES = 8
 _SMALL = 0.05  # standard deviations of the noise
 _ALONE = 0.2  # of them, that one pass leaves: about the difference, times its share of the data
 _DECADES = 8.0  # of S tan(delta), below its largest
-_ROOT_2 = math.sqrt(2.0)
 
 
 def _rule(nodes: int) -> _Floats:
@@ -111,165 +113,6 @@ class Prior(NamedTuple):
     """Probability of contact."""
 
 
-@inlined
-def gauss_mass(low: float, high: float, mean: float, sigma: float) -> tuple[float, float]:
-    """Return what a Gaussian has between two bounds, as a mass and an exponent that multiply: ``mass e^exponent``."""
-    a, b = (low - mean) / sigma, (high - mean) / sigma
-    if a > 5.0 or b < -5.0:
-        far = max(a, -b)
-        tail = 1.0 / (far * far)
-        return 0.3989422804014327 / far * (1.0 - tail * (1.0 - 3.0 * tail)), -0.5 * far * far
-    above = 0.5 * math.erfc(a / _ROOT_2) if a > -6.0 else 1.0
-    beyond = 0.5 * math.erfc(b / _ROOT_2) if b < 6.0 else 0.0
-    return above - beyond, 0.0
-
-
-@inlined
-def gauss_moments(low: float, high: float, mean: float, sigma: float) -> tuple[float, float]:
-    """Return mean and spread of a Gaussian between two bounds."""
-    a, b = (low - mean) / sigma, (high - mean) / sigma
-    if a < -6.0 and b > 6.0:
-        return mean, sigma
-    if a > 5.0:
-        return low + sigma / a, sigma / a
-    if b < -5.0:
-        return high + sigma / b, -sigma / b
-    mass, _ = gauss_mass(low, high, mean, sigma)
-    if not mass > 0.0:
-        return 0.5 * (low + high), 0.0
-    at_a = 0.3989422804014327 * math.exp(-0.5 * a * a)
-    at_b = 0.3989422804014327 * math.exp(-0.5 * b * b)
-    shift = (at_a - at_b) / mass
-    bend = (a * at_a if at_a > 0.0 else 0.0) - (b * at_b if at_b > 0.0 else 0.0)
-    variance = 1.0 + bend / mass - shift * shift
-    return mean + sigma * shift, sigma * math.sqrt(max(variance, 0.0))
-
-
-@inlined
-def _spread_over(
-    histogram: _Floats, low: float, width: float, left: float, right: float, mass: float
-) -> None:
-    """Add a mass, even between two values, to bins that begin at ``low``."""
-    last = histogram.shape[0] - 1
-    x0, x1 = (left - low) / width, (right - low) / width
-    k0, k1 = int(min(max(x0, 0.0), last)), int(min(max(x1, 0.0), last))
-    if k0 == k1 or not x1 > x0:
-        histogram[k0] += mass
-        return
-    even = mass / (x1 - x0)
-    histogram[k0] += even * (k0 + 1 - x0)
-    for k in range(k0 + 1, k1):
-        histogram[k] += even
-    histogram[k1] += even * (x1 - k1)
-
-
-@inner
-def _quantiles(histogram: _Floats, low: float, width: float, out: _Floats) -> None:
-    """Fill the quantiles of a histogram."""
-    total = 0.0
-    for k in range(histogram.shape[0]):
-        total += histogram[k]
-    level, below = 0, 0.0
-    for k in range(histogram.shape[0]):
-        above = below + histogram[k]
-        while level < LEVELS.shape[0] and above >= LEVELS[level] * total and histogram[k] > 0.0:
-            out[level] = low + width * (k + (LEVELS[level] * total - below) / histogram[k])
-            level += 1
-        below = above
-
-
-@inner
-def _smear(histogram: _Floats, sigma: float, work: _Floats) -> None:
-    """Fold a histogram with a Gaussian of a width in bins."""
-    reach = int(4.0 * sigma) + 1
-    size = histogram.shape[0]
-    for k in range(size):
-        work[k] = 0.0
-    norm = 0.0
-    for j in range(-reach, reach + 1):
-        norm += math.exp(-0.5 * (j / sigma) ** 2)
-    for j in range(-reach, reach + 1):
-        share = math.exp(-0.5 * (j / sigma) ** 2) / norm
-        for k in range(max(0, -j), min(size, size - j)):
-            work[k + j] += share * histogram[k]
-    for k in range(size):
-        histogram[k] = work[k]
-
-
-@inlined
-def _add_even(
-    histogram: _Floats, low: float, width: float, left: float, right: float, logarithmic: bool, mass: float
-) -> None:
-    if logarithmic:
-        right = max(right, 1e-300)
-        left = max(left, 1e-3 * right)
-        _spread_over(histogram, low, width, math.log(left), math.log(right), mass)
-    else:
-        _spread_over(histogram, low, width, left, right, mass)
-
-
-@inner
-def _add_gaussian(
-    histogram: _Floats,
-    low: float,
-    width: float,
-    middle: float,
-    half: float,
-    sigma: float,
-    least: float,
-    most: float,
-    logarithmic: bool,
-    mass: float,
-) -> None:
-    """Add a mass around a value: Gaussian between two bounds, and even over the cell of its node beyond that.
-
-    With ``logarithmic`` the bins are those of the logarithm.
-    """
-    if middle - 4.0 * sigma < least or middle + 4.0 * sigma > most:
-        left, right = max(middle - 4.0 * sigma, least), min(middle + 4.0 * sigma, most)
-        if left > most - 4.0 * sigma and not left < right:
-            left = max(most - 4.0 * sigma, least)
-        if not left < right:  # far beyond a bound: what is left falls off within a small part of sigma
-            reach = sigma * sigma / max(abs(least - middle), abs(middle - most), sigma)
-            if middle < least:
-                left, right = least, min(least + 3.0 * reach, most)
-            else:
-                left, right = max(most - 3.0 * reach, least), most
-        piece = (right - left) / _PIECES
-        total = 0.0
-        # relative to the largest of them: far beyond a bound all are small
-        nearest = min(max(middle, left), right) - middle
-        for j in range(_PIECES):
-            off = left + (j + 0.5) * piece - middle
-            total += math.exp(-0.5 * (off * off - nearest * nearest) / (sigma * sigma))
-        for j in range(_PIECES):
-            off = left + (j + 0.5) * piece - middle
-            part = mass / total * math.exp(-0.5 * (off * off - nearest * nearest) / (sigma * sigma))
-            _add_even(histogram, low, width, left + j * piece, left + (j + 1) * piece, logarithmic, part)
-        return
-    scale = max(abs(middle), 1e-300) if logarithmic else 1.0
-    if sigma <= 0.3 * half or sigma <= 0.3 * width * scale:
-        reach = math.sqrt(half * half + 3.0 * sigma * sigma)
-        _add_even(
-            histogram, low, width, max(middle - reach, least), min(middle + reach, most), logarithmic, mass
-        )
-        return
-    # three even pieces that together have the variance and nearly the 90 % interval of a Gaussian
-    wide = math.sqrt((0.65 * sigma) ** 2 + half * half)
-    for way in (-1.0, 0.0, 1.0):
-        there = middle + way * 1.3 * sigma
-        part = mass * (0.5 if way == 0.0 else 0.25)
-        _add_even(
-            histogram,
-            low,
-            width,
-            max(there - wide, least),
-            max(min(there + wide, most), least),
-            logarithmic,
-            part,
-        )
-
-
 class Grid(NamedTuple):
     """What is kept of every node (along, across)."""
 
@@ -294,7 +137,7 @@ class Grid(NamedTuple):
 @inner
 def new_grid() -> Grid:
     """Return a grid for a pixel."""
-    most = 3 * _MODES * _MOST_ALONG
+    most = 3 * MODES * _MOST_ALONG
     return Grid(
         np.zeros((most, _WIDEST)),
         np.zeros((most, _WIDEST)),
@@ -308,163 +151,6 @@ def new_grid() -> Grid:
         np.zeros(most),
         np.zeros(most, np.int64),
     )
-
-
-@inner
-def _edge(
-    table: Table,
-    slot: int,
-    share: float,
-    scale: float,
-    orders: npt.NDArray[np.int64],
-    lossy: npt.NDArray[np.bool_],
-    W: _Floats,
-    sticky: bool,
-    loss: bool,
-    box: Box,
-    s: Scratch,
-    bounded: _Floats,
-    where: float,
-    depth: float,
-    least: float,
-    reach: float,
-    limit: float,
-    up: bool,
-) -> float:
-    """Return the t above or below a minimum at which chi-squared has risen by a reach over ``least``, or the limit.
-
-    ``bounded`` holds chi-squared at the nodes of `scan_valley`.
-    """
-    width, target = STEP * _STRIDE, least + reach
-    inside, at_inside, outside, at_outside = where, depth, limit, math.inf
-    # node by node until it is out
-    place = (where - SHALLOWEST) / width
-    k = math.floor(place) + 1 if up else math.ceil(place) - 1
-    while 0 <= k < bounded.shape[0]:
-        t = SHALLOWEST + width * k
-        if (t >= limit) if up else (t <= limit):
-            break
-        if bounded[k] > target:
-            outside, at_outside = t, bounded[k]
-            break
-        inside, at_inside = t, bounded[k]
-        k += 1 if up else -1
-    if at_outside == math.inf:
-        return limit
-    # until the end of the stretch is known to a part of its length
-    for _ in range(60):
-        x0, x1 = math.sqrt(max(at_inside - least, 0.0)), math.sqrt(at_outside - least)
-        part = (math.sqrt(reach) - x0) / (x1 - x0)
-        middle = inside + min(max(part, 0.25), 0.75) * (outside - inside)
-        tabulated_columns(table, slot, share, scale, middle, orders, lossy, W, s)
-        value = solved(reduce(s, sticky, loss), s, sticky, box)[0]
-        if value > target:
-            outside, at_outside = middle, value
-            if value < target + 0.3 * reach:
-                break
-        else:
-            inside, at_inside = middle, value
-        if abs(outside - inside) < 0.01 * abs(inside - where):
-            break
-    return outside
-
-
-@inner
-def _stretches(
-    table: Table,
-    slot: int,
-    share: float,
-    scale: float,
-    orders: npt.NDArray[np.int64],
-    lossy: npt.NDArray[np.bool_],
-    W: _Floats,
-    sticky: bool,
-    loss: bool,
-    box: Box,
-    s: Scratch,
-    bounded: _Floats,
-    bottom: float,
-    top: float,
-    ends: _Floats,
-    cores: _Floats,
-) -> tuple[int, float, float]:
-    """Fill the stretches of t that matter, and the core of each; return how many, the least chi-squared, and where.
-
-    ``bottom`` and ``top`` are the t that the prior allows.
-    """
-    nodes = (NODES - 1) // _STRIDE + 1
-    width = STEP * _STRIDE
-    scan_valley(table, slot, share, scale, orders, lossy, W, sticky, loss, box, s, _STRIDE, bounded)
-    least, deepest_at = math.inf, bottom
-    minima = 0
-    where, depth = np.empty(_MODES), np.empty(_MODES)
-    for k in range(nodes):
-        t = SHALLOWEST + width * k
-        if t < bottom - width or t > top + width:
-            continue
-        before = bounded[k - 1] if k > 0 and t - width > bottom - width else math.inf
-        after = bounded[k + 1] if k < nodes - 1 and t + width < top + width else math.inf
-        if not (bounded[k] <= before and bounded[k] < after):
-            continue
-        low, high = max(t - width, bottom), min(t + width, top)
-        if not low < high:
-            continue
-        near, value = lowest_between(
-            table, slot, share, scale, low, high, 2e-3, orders, lossy, W, sticky, loss, box, s
-        )
-        if minima < _MODES:
-            where[minima], depth[minima] = near, value
-            minima += 1
-        else:  # the worst gives way
-            worst = 0
-            for j in range(1, _MODES):
-                if depth[j] > depth[worst]:
-                    worst = j
-            if value < depth[worst]:
-                for j in range(worst, _MODES - 1):
-                    where[j], depth[j] = where[j + 1], depth[j + 1]
-                where[_MODES - 1], depth[_MODES - 1] = near, value
-        if value < least:
-            least, deepest_at = value, near
-    count = 0
-    target = least + _REACH
-    for j in range(minima):
-        if depth[j] > target:
-            continue
-        if count > 0 and where[j] <= ends[count - 1, 1]:
-            continue  # within the stretch of the one before
-        for side in range(2):
-            limit = bottom if side == 0 else top
-            for inner_one in range(2):
-                reach = _CORE if inner_one else _REACH
-                edge = _edge(
-                    table,
-                    slot,
-                    share,
-                    scale,
-                    orders,
-                    lossy,
-                    W,
-                    sticky,
-                    loss,
-                    box,
-                    s,
-                    bounded,
-                    where[j],
-                    depth[j],
-                    depth[j] if inner_one else least,
-                    reach,
-                    limit,
-                    side == 1,
-                )
-                if inner_one:
-                    cores[count, side] = edge
-                else:
-                    ends[count, side] = edge
-        if count > 0 and ends[count, 0] < ends[count - 1, 1]:
-            ends[count, 0] = ends[count - 1, 1]
-        count += 1
-    return count, least, deepest_at
 
 
 @inner
@@ -521,27 +207,6 @@ def _across(
                 members += 1
         start = bends[i]
     return members
-
-
-@inner
-def _partition(ends: _Floats, cores: _Floats, count: int, parts: _Floats) -> int:
-    """Fill the stretches, those with a narrow core in three parts; return how many there are.
-
-    A peak on a plateau needs nodes as close as it is narrow, and the plateau does not.
-    """
-    found = 0
-    for k in range(count):
-        low, high = ends[k, 0], ends[k, 1]
-        first, last = max(cores[k, 0], low), min(cores[k, 1], high)
-        if not last - first < _NARROW_CORE * (high - low):
-            parts[found, 0], parts[found, 1] = low, high
-            found += 1
-            continue
-        for start, stop in ((low, first), (first, last), (last, high)):
-            if stop - start > 1e-9:
-                parts[found, 0], parts[found, 1] = start, stop
-                found += 1
-    return found
 
 
 @kernel
@@ -601,8 +266,8 @@ def posterior_pixels(
     room, out, whitened = new_room(followed), np.zeros(rows), np.zeros(rows)
     sticky, loss = adhesive(columns), columns.loss > 0.0
     contact = columns.contact
-    bounded = np.empty((NODES - 1) // _STRIDE + 1)
-    ends, cores, parts = np.empty((_MODES, 2)), np.empty((_MODES, 2)), np.empty((3 * _MODES, 2))
+    bounded = np.empty((NODES - 1) // STRIDE + 1)
+    ends, cores, parts = np.empty((MODES, 2)), np.empty((MODES, 2)), np.empty((3 * MODES, 2))
     grid = new_grid()
     bends, across = np.empty(5), np.empty((2, _WIDEST))
     along = np.empty(grid.t.shape[0])
@@ -656,7 +321,7 @@ def posterior_pixels(
         if places > 0:
             # where the bare cosine puts the valley, what the harmonics of the motion make of it
             whiten(W, y[i], bare.first)
-            count, _, _ = _stretches(
+            count, _, _ = find_stretches(
                 table,
                 slot,
                 share,
@@ -715,7 +380,7 @@ def posterior_pixels(
                         if whole_size * whole_size < _ALONE * size or change < _SMALL:
                             break
                     s.shifts[j, rows] = 0.0
-                count, least, best_t = _stretches(
+                count, least, best_t = find_stretches(
                     table,
                     slot,
                     share,
@@ -736,7 +401,7 @@ def posterior_pixels(
                 if ends[0, 0] >= low and ends[count - 1, 1] <= high:
                     break
         else:
-            count, least, best_t = _stretches(
+            count, least, best_t = find_stretches(
                 table,
                 slot,
                 share,
@@ -756,7 +421,7 @@ def posterior_pixels(
             )
         nodes, total, most = 0, 0.0, 0.0
         mean, square = 0.0, 0.0
-        count = _partition(ends, cores, count, parts)
+        count = partition(ends, cores, count, parts)
         for stretch in range(count):
             low, high = parts[stretch, 0], parts[stretch, 1]
             n = min(max(_ALONG, int((high - low) / _WIDTH_ALONG) + 1), _MOST_ALONG)
@@ -958,7 +623,7 @@ def posterior_pixels(
                     if half == 0.0 and k + 1 < same:
                         half = 0.5 * abs(values[j, k + 1] - middle)
                     if q == MODULUS_:
-                        _spread_over(histogram, low, width, middle - half, middle + half, weight)
+                        spread_over(histogram, low, width, middle - half, middle + half, weight)
                         continue
                     factor_q = 1.0
                     if q == ADHESION_:
@@ -973,13 +638,13 @@ def posterior_pixels(
                             factor_q = math.exp(grid.shift[j, k])
                         middle, half, sigma = factor_q * middle, factor_q * half, factor_q * sigma
                         most_q = factor_q * most_q if q == LOSS_ else prior.tangent_high
-                    _add_gaussian(
+                    add_gaussian(
                         histogram, low, width, middle, half, sigma, least_q, most_q, q == LOSS_, weight
                     )
             of_radius = variance_E if q == MODULUS_ else variance_R if q == LOSS_ else 0.0
             if of_radius > (0.3 * width) ** 2:
-                _smear(histogram, math.sqrt(of_radius) / width, work)
-            _quantiles(histogram, low, width, quantiles[i, q])
+                smear(histogram, math.sqrt(of_radius) / width, work)
+            fill_quantiles(histogram, low, width, quantiles[i, q])
             if q == LOSS_:
                 for level in range(LEVELS.shape[0]):
                     quantiles[i, q, level] = math.exp(quantiles[i, q, level])
@@ -1049,7 +714,7 @@ def _out_of_contact(
             if (edge - limit) * away >= 0.0:
                 edge = limit
                 break
-            if apart(A, math.exp(edge), columns, orders, lossy, W, s)[0] > best + _REACH:
+            if apart(A, math.exp(edge), columns, orders, lossy, W, s)[0] > best + REACH:
                 break
             away *= 1.5
         ends[side] = edge
@@ -1084,7 +749,7 @@ def _out_of_contact(
         below, level = 0.0, LEVELS.shape[0] - 1
         for k in range(n):
             half = 0.5 * abs(F[min(k + 1, n - 1)] - F[max(k - 1, 0)]) * (0.5 if 0 < k < n - 1 else 1.0)
-            _add_gaussian(
+            add_gaussian(
                 histogram,
                 F_low,
                 width,
@@ -1104,5 +769,5 @@ def _out_of_contact(
                 level -= 1
             below = above
         if width > 0.0:
-            _quantiles(histogram, F_low, width, quantiles[ADHESION_])
+            fill_quantiles(histogram, F_low, width, quantiles[ADHESION_])
     return total, best

@@ -1,0 +1,117 @@
+"""Along the indentation: chi-squared within bounds at the nodes of the table, and where it is least between two."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from overtone.inversion.table import NODES, SHALLOWEST, STEP, Table
+from overtone.inversion.valley import Box, Scratch, reduce, solved, tabulated_columns
+from overtone.kernels import inlined, inner
+
+_Floats = npt.NDArray[np.float64]
+_Orders = npt.NDArray[np.int64]
+_Flags = npt.NDArray[np.bool_]
+
+GOLDEN = 0.3819660112501051
+"""Share of the golden section."""
+
+_MOST_STEPS = 100
+_EVEN = 0.02
+_NARROWEST = 1e-10
+
+
+@inlined
+def _bounded_tabulated(
+    table: Table,
+    slot: int,
+    share: float,
+    scale: float,
+    t: float,
+    orders: _Orders,
+    lossy: _Flags,
+    W: _Floats,
+    sticky: bool,
+    loss: bool,
+    box: Box,
+    s: Scratch,
+) -> float:
+    """Return the least chi-squared within bounds at t, by the table."""
+    tabulated_columns(table, slot, share, scale, t, orders, lossy, W, s)
+    return solved(reduce(s, sticky, loss), s, sticky, box)[0]
+
+
+@inner
+def lowest_between(
+    table: Table,
+    slot: int,
+    share: float,
+    scale: float,
+    low: float,
+    high: float,
+    width: float,
+    orders: _Orders,
+    lossy: _Flags,
+    W: _Floats,
+    sticky: bool,
+    loss: bool,
+    box: Box,
+    s: Scratch,
+) -> tuple[float, float]:
+    """Return where the least chi-squared within bounds is smallest between two t, by golden section, and its size.
+
+    Derivatives jump where a bound begins to hold, so none are used.
+    """
+    x1, x2 = low + GOLDEN * (high - low), high - GOLDEN * (high - low)
+    f1, f2 = math.inf, math.inf
+    first = True  # which of the two is new
+    for step in range(_MOST_STEPS):
+        value = _bounded_tabulated(
+            table, slot, share, scale, x1 if first else x2, orders, lossy, W, sticky, loss, box, s
+        )
+        if first:
+            f1 = value
+        else:
+            f2 = value
+        if step == 0:
+            first = False
+            continue
+        # a narrow valley goes on until both sides are as good: chi-squared counts in units of the noise
+        if high - low <= width and (abs(f1 - f2) <= _EVEN or high - low <= _NARROWEST):
+            break
+        first = f1 < f2
+        if first:
+            high, x2, f2 = x2, x1, f1
+            x1 = low + GOLDEN * (high - low)
+        else:
+            low, x1, f1 = x1, x2, f2
+            x2 = high - GOLDEN * (high - low)
+    return (x1, f1) if f1 < f2 else (x2, f2)
+
+
+@inner
+def scan_valley(
+    table: Table,
+    slot: int,
+    share: float,
+    scale: float,
+    orders: _Orders,
+    lossy: _Flags,
+    W: _Floats,
+    sticky: bool,
+    loss: bool,
+    box: Box,
+    s: Scratch,
+    stride: int,
+    bounded: _Floats,
+) -> int:
+    """Fill the least chi-squared within bounds at every ``stride`` nodes of the table; return where it is least."""
+    least = 0
+    for k in range((NODES - 1) // stride + 1):
+        t = SHALLOWEST + STEP * stride * k
+        bounded[k] = _bounded_tabulated(table, slot, share, scale, t, orders, lossy, W, sticky, loss, box, s)
+        if bounded[k] < bounded[least]:
+            least = k
+    return least
