@@ -1,6 +1,6 @@
 """A map of 4096 x 4096 pixels: seconds, and the most memory the process ever held. By hand:
 
-    python benchmarks/large_map.py [method] [motion] [side]
+python benchmarks/large_map.py [method] [motion] [side]
 """
 
 import resource
@@ -31,7 +31,7 @@ def main(method: str = "posterior", motion: str = "full", side: str = "4096") ->
         for name in NAMES
     }
     scan = xr.Dataset(tiled, attrs=small.attrs)
-    ot.map_properties(small, demo_probe(), model="dmt", poisson_ratio=0.35, method=method, motion=motion)  # compiles
+    ot.map_properties(small, demo_probe(), model="dmt", poisson_ratio=0.35, method=method, motion=motion)
     before, start = peak(), time.perf_counter()
     maps = ot.map_properties(
         scan, demo_probe(), model="dmt", poisson_ratio=0.35, method=method, motion=motion, dtype="float32"
