@@ -247,6 +247,7 @@ def _root(
         if S < 0.0 or F * (abs(s.b[0]) + abs(s.b[1]) + abs(s.b[2])) < -_CLEARLY * size:
             return count
     a, b, slope, ahead = s.a, s.b, s.wa, s.wb
+    before = math.inf
     for _ in range(_STEPS):
         Delta = 1.0 / (1.0 + math.exp(-t))
         fill_columns(columns, amplitude, Delta, s.work.shape[1] - 1, s.work)
@@ -264,8 +265,10 @@ def _root(
         _cross(a, ahead, slope)
         rate += y[0] * slope[0] + y[1] * slope[1] + y[2] * slope[2]
         rate *= by_t
-        if rate == 0.0:
-            break
+        # from outside a pair every step leaves a quarter of the determinant; a dip that has no root leaves more
+        if rate == 0.0 or (not bracketed and abs(value) > 0.5 * before):
+            return count
+        before = abs(value)
         there = min(max(t - value / rate, low), high)
         step = there - t
         t = there
