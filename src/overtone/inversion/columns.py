@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from overtone.contact import law
-from overtone.contact.models import ContactModel, models
+from overtone.contact.models import BUILT_IN, ContactModel
 from overtone.contact.parameters import Parameter
 from overtone.contact.terms import NO_ADHESION, adhesion_harmonics, power_harmonics
 from overtone.errors import InversionError
@@ -116,7 +116,7 @@ def columns_of(record: ContactModel, probe: Probe, given: Mapping[str, float]) -
     if not is_linear(record):
         raise InversionError(
             f"model {record.key!r} cannot be inverted",
-            expected=", ".join(m.key for m in models() if is_linear(m)),
+            expected=", ".join(m.key for m in BUILT_IN if is_linear(m)),
             hint="the one of these nearest to it",
         )
     values: dict[str, npt.NDArray[np.float64]] = {}

@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 from overtone import provenance
-from overtone.contact.models import ContactModel, contact_model, models
+from overtone.contact.models import BUILT_IN, ContactModel, contact_model
 from overtone.contact.parameters import DISTANCE, POISSON_RATIO
 from overtone.errors import InversionError
 from overtone.harmonics import UNDETERMINED, energy, regime, to_force_harmonics
@@ -249,7 +249,7 @@ def records_of(model: str, method: str) -> tuple[ContactModel, ...]:
     if not fits:
         can = (
             m.key
-            for m in models()
+            for m in BUILT_IN
             if is_linear(m) and (method != "least-squares" or (m.tail is not None and m.invertible))
         )
         raise InversionError(

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from overtone.contact.models import ContactModel, contact_model, models
+from overtone.contact.models import BUILT_IN, ContactModel, contact_model
 from overtone.contact.sample import OF_THE_PROBE, Sample
 from overtone.errors import InversionError, OvertoneError, ProbeError
 from overtone.inversion.columns import is_linear, unknowns_of
@@ -147,7 +147,7 @@ def inversion_of(
     if not is_linear(records[0]):
         raise InversionError(
             f"readings of model {key!r} cannot be inverted",
-            expected=", ".join(m.key for m in models() if is_linear(m)),
+            expected=", ".join(m.key for m in BUILT_IN if is_linear(m)),
             hint='a nearby model for the inversion, such as model="dmt"',
         )
     taken = {q.name: q for record in records for q in record.given if q.name not in OF_THE_PROBE}
