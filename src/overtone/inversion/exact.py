@@ -16,9 +16,18 @@ import numpy as np
 import numpy.typing as npt
 
 from overtone.inversion.apart import closest_apart, has_reach
-from overtone.inversion.columns import Columns, adhesive, fill_columns
-from overtone.inversion.search import lowest_between, scan_valley
-from overtone.inversion.table import DEEPEST, NODES, SHALLOWEST, STEP, Table, interpolate, locate
+from overtone.inversion.columns import Columns, fill_columns
+from overtone.inversion.search import Pixel, lowest_between, pixel_at, scan_valley
+from overtone.inversion.table import (
+    DEEPEST,
+    NODES,
+    SHALLOWEST,
+    STEP,
+    Table,
+    elastic_scale,
+    interpolate,
+    locate,
+)
 from overtone.inversion.valley import (
     Box,
     Reduced,
@@ -405,16 +414,7 @@ def _roots(
 
 @inner
 def _least_squares(
-    amplitude: float,
-    columns: Columns,
-    table: Table,
-    slot: int,
-    share: float,
-    scale: float,
-    orders: _Orders,
-    lossy: _Flags,
-    W: _Floats,
-    box: Box,
+    pixel: Pixel,
     only_bounded: bool,
     bounded: _Floats,
     s: Scratch,
@@ -427,10 +427,11 @@ def _least_squares(
 
     Returns how many, the least chi-squared within bounds, and the spread of S there.
     """
-    sticky, loss = adhesive(columns), columns.loss > 0.0
+    columns, amplitude, sticky = pixel.columns, pixel.amplitude, pixel.sticky
+    orders, lossy, W = pixel.orders, pixel.lossy, pixel.W
     stride = _COARSE if only_bounded else _STRIDE
     nodes = (NODES - 1) // stride + 1
-    least = scan_valley(table, slot, share, scale, orders, lossy, W, sticky, loss, box, s, stride, bounded)
+    least = scan_valley(pixel, stride, bounded, s)
     count = 0
     if not only_bounded:
         chi2 = np.empty(MOST)
@@ -438,9 +439,7 @@ def _least_squares(
             if not (bounded[k] <= bounded[k - 1] and bounded[k] < bounded[k + 1]):
                 continue
             low, high = SHALLOWEST + STEP * stride * (k - 1), SHALLOWEST + STEP * stride * (k + 1)
-            near, _ = lowest_between(
-                table, slot, share, scale, low, high, 1e-3, orders, lossy, W, sticky, loss, box, s
-            )
+            near, _ = lowest_between(pixel, low, high, 1e-3, s)
             t, m, spread = polish(
                 columns, amplitude, near, near - 0.1, near + 0.1, orders, lossy, W, sticky, _STEPS, s, slope
             )
@@ -473,33 +472,19 @@ def _least_squares(
             return count, lowest, spreads[count - 1]
     low = SHALLOWEST + STEP * stride * max(least - 1, 0)
     high = min(SHALLOWEST + STEP * stride * (least + 1), DEEPEST)
-    near, _ = lowest_between(
-        table, slot, share, scale, low, high, 1e-3, orders, lossy, W, sticky, loss, box, s
-    )
+    near, _ = lowest_between(pixel, low, high, 1e-3, s)
     _, _, spread = polish(columns, amplitude, near, near, near, orders, lossy, W, sticky, 1, s, slope)
-    chi2_least = _bounded_at(columns, amplitude, near, orders, lossy, W, sticky, loss, box, s, best)
+    chi2_least = _closest_at(pixel, near, s, best)
     return count, chi2_least, spread
 
 
 @inner
-def _bounded_at(
-    columns: Columns,
-    amplitude: float,
-    t: float,
-    orders: _Orders,
-    lossy: _Flags,
-    W: _Floats,
-    sticky: bool,
-    loss: bool,
-    box: Box,
-    s: Scratch,
-    out: _Floats,
-) -> float:
+def _closest_at(pixel: Pixel, t: float, s: Scratch, out: _Floats) -> float:
     """Return the least chi-squared within bounds at t, and fill the solution there."""
-    Delta = exact_columns(columns, amplitude, t, orders, lossy, W, s)
-    chi2, m, S = solved(reduce(s, sticky, loss), s, sticky, box)
-    F = best_F(m, S, box)
-    out[S_], out[F_], out[DELTA_] = S, F, 2.0 * amplitude * Delta
+    Delta = exact_columns(pixel.columns, pixel.amplitude, t, pixel.orders, pixel.lossy, pixel.W, s)
+    chi2, m, S = solved(reduce(s, pixel.sticky, pixel.loss), s, pixel.sticky, pixel.box)
+    F = best_F(m, S, pixel.box)
+    out[S_], out[F_], out[DELTA_] = S, F, 2.0 * pixel.amplitude * Delta
     out[C_] = m.c0 + m.c1 * S + m.c2 * F
     return chi2
 
@@ -598,7 +583,7 @@ def solve_pixels(
             count[i] = OUTSIDE
             continue
         W = whitening[min(i, whitening.shape[0] - 1)]
-        scale = A * math.sqrt(A) if table.power == 1.5 else A**table.power
+        scale = elastic_scale(table, A)
         whiten(W, y[i], s.first)
         for j in range(places):
             whiten(W, shifts[i, j], s.shifts[j])
@@ -634,24 +619,9 @@ def solve_pixels(
             chi2[i] = 0.0
         spread = math.inf
         if not square or found == 0:
+            pixel = pixel_at(columns, A, table, slot, share, orders, lossy, W, box)
             found, chi2[i], spread = _least_squares(
-                A,
-                columns,
-                table,
-                slot,
-                share,
-                scale,
-                orders,
-                lossy,
-                W,
-                box,
-                square,
-                bounded,
-                s,
-                slope,
-                solutions[i],
-                spreads[i],
-                best[i],
+                pixel, square, bounded, s, slope, solutions[i], spreads[i], best[i]
             )
         if found > 0:
             best[i] = solutions[i, found - 1]

@@ -14,7 +14,7 @@ from overtone.contact.models import ContactModel
 from overtone.inversion import posterior
 from overtone.inversion.columns import Columns, unknowns_of
 from overtone.inversion.motion import FEW, Followed, follow
-from overtone.inversion.pixels import Setting, radius_exponent
+from overtone.inversion.pixels import Pixels, Setting, radius_exponent
 from overtone.inversion.priors import Prior, for_kernel, interval_width
 from overtone.inversion.result import (
     DETERMINED,
@@ -125,8 +125,9 @@ def map_posteriors(
     followed = follow(probe, setting.known, FEW if full_motion else 0)
 
     def run(block: slice) -> None:
-        # what the radius makes uncertain differs between models: a block of pixels for each
-        answers = [_answer(setting, c, followed, block, apart) for c in candidates]
+        # models that go with the radius alike share the pixels
+        pixels = {exponent: setting.pixels(block, exponent) for exponent in {c.exponent for c in candidates}}
+        answers = [_answer(pixels[c.exponent], setting, c, followed, apart) for c in candidates]
         evidence = np.stack([a.summary[:, posterior.EVIDENCE_] for a in answers])
         known = np.isfinite(evidence).any(axis=0)
         best = np.argmax(np.where(np.isfinite(evidence), evidence, -np.inf), axis=0)
@@ -186,8 +187,9 @@ class _Answer:
     statistical: _Floats
 
 
-def _answer(setting: Setting, candidate: Candidate, followed: Followed, block: slice, apart: bool) -> _Answer:
-    pixels = setting.pixels(block, candidate.exponent)
+def _answer(
+    pixels: Pixels, setting: Setting, candidate: Candidate, followed: Followed, apart: bool
+) -> _Answer:
     size = pixels.y.shape[0]
     quantiles, summary = np.empty((size, posterior.QUANTITIES, 3)), np.empty((size, posterior.SUMMARIES))
     prior = for_kernel(candidate.priors, candidate.first)

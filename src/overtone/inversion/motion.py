@@ -22,7 +22,7 @@ from overtone.harmonics import tip_receptance
 from overtone.inversion.apart import closest_apart
 from overtone.inversion.columns import Columns, adhesive, fill_columns
 from overtone.inversion.exact import C_, DELTA_, F_, S_, polish
-from overtone.inversion.search import scan_valley
+from overtone.inversion.search import Pixel, columns_at, pixel_at, scan_valley
 from overtone.inversion.table import DEEPEST, NODES, SHALLOWEST, STEP, Table, locate
 from overtone.inversion.valley import (
     Box,
@@ -33,7 +33,6 @@ from overtone.inversion.valley import (
     reduce,
     set_places,
     solved,
-    tabulated_columns,
     whiten,
 )
 from overtone.kernels import inlined, inner, kernel
@@ -46,7 +45,6 @@ FEW, MANY = 16, 20
 """Harmonics of the motion that are followed, along the valley and at a solution."""
 COARSE, FINE = 12, 16
 """Nodes of a piece of the motion, with few harmonics and with many: forces to 1e-5, and to 1e-6."""
-_RULES = {n: np.polynomial.legendre.leggauss(n) for n in (COARSE, FINE)}
 _STILL = 1e-7  # last step of t; the next would be a tenth of it
 _NEARLY_STILL = 1e-4
 _TURN_OF_A_PIECE = 12.0  # phase of the highest harmonic [rad]
@@ -60,9 +58,9 @@ _SHALLOW = 8  # node of that stride below which no place is: a contact so short 
 _NEAR = 0.1  # of the largest row, by which the model may miss the data where places are
 
 
-def _rule(nodes: int) -> _Floats:
-    """Return nodes and weights of a quadrature over 0..1, as an array (2, node)."""
-    x, w = _RULES[nodes]
+def gauss_rule(nodes: int) -> _Floats:
+    """Return nodes and weights of Gauss's quadrature over 0..1, as an array (2, node)."""
+    x, w = np.polynomial.legendre.leggauss(nodes)
     return np.array([0.5 * (1.0 + x), 0.5 * w])
 
 
@@ -295,43 +293,32 @@ def new_room(followed: Followed) -> Room:
     )
 
 
+@inlined
+def _row(room: Room, order: int, lossy: bool) -> float:
+    """Return a row of the harmonics in the room: DISS_n where lossy, CONS_n else."""
+    return -room.f[order].imag if lossy else room.f[order].real
+
+
 @inner
 def difference_at(
-    t: float,
-    A: float,
-    table: Table,
-    slot: int,
-    share: float,
-    scale: float,
-    columns: Columns,
-    followed: Followed,
-    f_known: _Complex,
-    orders: npt.NDArray[np.int64],
-    lossy: npt.NDArray[np.bool_],
-    W: _Floats,
-    sticky: bool,
-    box: Box,
-    s: Scratch,
-    room: Room,
-    out: _Floats,
+    t: float, pixel: Pixel, followed: Followed, f_known: _Complex, s: Scratch, room: Room, out: _Floats
 ) -> None:
     """Fill what the harmonics of the motion add to the rows at t, for the material that fits best there.
 
     ``out`` holds what they add nearby; zeros where that is not known.
     """
-    loss = columns.loss > 0.0
-    Delta = tabulated_columns(table, slot, share, scale, t, orders, lossy, W, s)
-    rows = orders.shape[0]
-    whiten(W, out, s.a)
-    for r in range(rows):
-        s.wy[r] = s.first[r] - s.a[r]
-    _, m, S = solved(reduce(s, sticky, loss), s, sticky, box)
-    x = room.x
-    F = best_F(m, S, box)
-    x[S_], x[F_], x[C_], x[DELTA_] = S, F, max(m.c0 + m.c1 * S + m.c2 * F, 0.0), 2.0 * A * Delta
-    _difference(A, x, columns, followed, f_known, room)
+    A, orders = pixel.amplitude, pixel.orders
+    Delta = columns_at(pixel, t, s)
+    whiten(pixel.W, out, s.a)
     for r in range(orders.shape[0]):
-        off = -room.f[orders[r]].imag if lossy[r] else room.f[orders[r]].real
+        s.wy[r] = s.first[r] - s.a[r]
+    _, m, S = solved(reduce(s, pixel.sticky, pixel.loss), s, pixel.sticky, pixel.box)
+    x = room.x
+    F = best_F(m, S, pixel.box)
+    x[S_], x[F_], x[C_], x[DELTA_] = S, F, max(m.c0 + m.c1 * S + m.c2 * F, 0.0), 2.0 * A * Delta
+    _difference(A, x, pixel.columns, followed, f_known, room)
+    for r in range(orders.shape[0]):
+        off = _row(room, orders[r], pixel.lossy[r])
         out[r] = off if math.isfinite(off) else 0.0
 
 
@@ -354,7 +341,10 @@ def follow(probe: Probe, known: tuple[int, ...], harmonics: int) -> Followed:
         else np.empty(0, complex)
     )
     return Followed(
-        tip, 2.0 * math.pi * frequency, np.array(known, np.int64), _rule(FINE if harmonics > FEW else COARSE)
+        tip,
+        2.0 * math.pi * frequency,
+        np.array(known, np.int64),
+        gauss_rule(FINE if harmonics > FEW else COARSE),
     )
 
 
@@ -392,7 +382,6 @@ def differences(
     rows = orders.shape[0]
     s, room = new_scratch(rows, table.elastic.shape[2] - 1, 0), new_room(followed)
     grid = new_scratch(rows, 0, shifts.shape[1])
-    sticky = adhesive(columns)
     out, roughly = np.zeros(rows), np.zeros((rows, rows))
     nodes = (NODES - 1) // _STRIDE + 1
     bounded = np.empty(nodes)
@@ -401,7 +390,6 @@ def differences(
         slot, share = locate(table, amplitude[i])
         if not usable[i] or slot < 0:
             continue
-        scale = amplitude[i] ** table.power
         # where the model comes near the data at all: elsewhere its motion says nothing of theirs
         size = 0.0
         for r in range(rows):
@@ -409,21 +397,8 @@ def differences(
         for r in range(rows):
             roughly[r, r] = 1.0 / (_NEAR * size)
         whiten(roughly, y[i], s.first)
-        least = scan_valley(
-            table,
-            slot,
-            share,
-            scale,
-            orders,
-            lossy,
-            roughly,
-            sticky,
-            columns.loss > 0.0,
-            box,
-            s,
-            _STRIDE,
-            bounded,
-        )
+        rough = pixel_at(columns, amplitude[i], table, slot, share, orders, lossy, roughly, box)
+        least = scan_valley(rough, _STRIDE, bounded, s)
         low, high = nodes, 0
         for k in range(nodes):
             if bounded[k] < 1.0 + bounded[least]:
@@ -432,29 +407,12 @@ def differences(
         spans[i, 1] = SHALLOWEST + STEP * _STRIDE * max(min(high + 1, nodes - 1), _SHALLOW + 2)
         set_places(grid, spans[i, 0], spans[i, 1])
         W = whitening[min(i, whitening.shape[0] - 1)]
+        pixel = pixel_at(columns, amplitude[i], table, slot, share, orders, lossy, W, box)
         whiten(W, y[i], s.first)
         out[:] = 0.0
         for j in range(shifts.shape[1]):
             room.b[:] = 0.0
-            difference_at(
-                grid.places[j],
-                amplitude[i],
-                table,
-                slot,
-                share,
-                scale,
-                columns,
-                followed,
-                f_known[i],
-                orders,
-                lossy,
-                W,
-                sticky,
-                box,
-                s,
-                room,
-                out,
-            )
+            difference_at(grid.places[j], pixel, followed, f_known[i], s, room, out)
             for r in range(rows):
                 shifts[i, j, r] = out[r]
 
@@ -559,5 +517,4 @@ def _rows_left(
     """Fill the data less what the harmonics of the motion add at a solution."""
     _difference(A, x, columns, followed, f_known, room)
     for r in range(orders.shape[0]):
-        off = -room.f[orders[r]].imag if lossy[r] else room.f[orders[r]].real
-        left[r] = y[r] - off
+        left[r] = y[r] - _row(room, orders[r], lossy[r])

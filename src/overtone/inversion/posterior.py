@@ -30,13 +30,15 @@ from overtone.inversion.histogram import (
     spread_over,
 )
 from overtone.inversion.linear import Contact, sample_modulus, stiffness
-from overtone.inversion.motion import Followed, difference_at, new_room
+from overtone.inversion.motion import Followed, difference_at, gauss_rule, new_room
+from overtone.inversion.search import columns_at, pixel_at
 from overtone.inversion.stretches import MODES, REACH, STRIDE, find_stretches, partition
 from overtone.inversion.table import DEEPEST, NODES, SHALLOWEST, Table, locate
 from overtone.inversion.valley import (
     Box,
     Reduced,
     Scratch,
+    best_F,
     best_S,
     chi2_at,
     edge_of_S,
@@ -44,7 +46,6 @@ from overtone.inversion.valley import (
     reduce,
     set_places,
     solved,
-    tabulated_columns,
     whiten,
 )
 from overtone.kernels import inner, kernel
@@ -76,13 +77,7 @@ _ALONE = 0.2  # of them, that one pass leaves: about the difference, times its s
 _DECADES = 8.0  # of S tan(delta), below its largest
 
 
-def _rule(nodes: int) -> _Floats:
-    """Return places and weights of Gauss's rule over 0..1."""
-    x, w = np.polynomial.legendre.leggauss(nodes)
-    return np.array([0.5 * (1.0 + x), 0.5 * w])
-
-
-_GAUSS = _rule(6)
+_GAUSS = gauss_rule(6)
 _WIDEST = max(_MOST_ACROSS, 5 * _MOST_PIECES * 6)
 _LOG_ROOT_2PI = 0.5 * math.log(2.0 * math.pi)
 
@@ -306,7 +301,6 @@ def posterior_pixels(
         W = whitening[min(i, whitening.shape[0] - 1)]
         u = radius_pull[min(i, radius_pull.shape[0] - 1)]
         variance_R = radius_variance[min(i, radius_variance.shape[0] - 1)]
-        scale = A**table.power
         whiten(W, y[i], s.first)
         log_norm = -rows * _LOG_ROOT_2PI
         for r in range(rows):
@@ -318,30 +312,14 @@ def posterior_pixels(
         if not bottom < top:
             continue
         log_prior_t = -math.log(math.log((1.0 + math.exp(-bottom)) / (1.0 + math.exp(-top))))
+        pixel = pixel_at(columns, A, table, slot, share, orders, lossy, W, box)
+        # where the bare cosine puts the valley, and what the harmonics of the motion make of it
+        whiten(W, y[i], bare.first)
+        count, least, best_t = find_stretches(pixel, bare, bounded, bottom, top, ends, cores)
         if places > 0:
-            # where the bare cosine puts the valley, what the harmonics of the motion make of it
-            whiten(W, y[i], bare.first)
-            count, _, _ = find_stretches(
-                table,
-                slot,
-                share,
-                scale,
-                orders,
-                lossy,
-                W,
-                sticky,
-                loss,
-                box,
-                bare,
-                bounded,
-                bottom,
-                top,
-                ends,
-                cores,
-            )
             out[:] = 0.0
             s.shifts[:] = 0.0
-            size, least, best_t = 0.0, math.inf, bottom
+            size = 0.0
             for r in range(rows):
                 size = max(size, abs(bare.first[r]))
             # where the difference moves the valley off the places that it was found at, it is found again
@@ -352,25 +330,7 @@ def posterior_pixels(
                     room.b[:] = 0.0
                     # one that is large, and matters, also for the material that it leaves
                     for _ in range(_MOST_PASSES):
-                        difference_at(
-                            s.places[j],
-                            A,
-                            table,
-                            slot,
-                            share,
-                            scale,
-                            columns,
-                            followed,
-                            f_known[i],
-                            orders,
-                            lossy,
-                            W,
-                            sticky,
-                            box,
-                            bare,
-                            room,
-                            out,
-                        )
+                        difference_at(s.places[j], pixel, followed, f_known[i], bare, room, out)
                         whiten(W, out, whitened)
                         whole_size, change = 0.0, 0.0
                         for r in range(rows):
@@ -380,45 +340,9 @@ def posterior_pixels(
                         if whole_size * whole_size < _ALONE * size or change < _SMALL:
                             break
                     s.shifts[j, rows] = 0.0
-                count, least, best_t = find_stretches(
-                    table,
-                    slot,
-                    share,
-                    scale,
-                    orders,
-                    lossy,
-                    W,
-                    sticky,
-                    loss,
-                    box,
-                    s,
-                    bounded,
-                    bottom,
-                    top,
-                    ends,
-                    cores,
-                )
+                count, least, best_t = find_stretches(pixel, s, bounded, bottom, top, ends, cores)
                 if ends[0, 0] >= low and ends[count - 1, 1] <= high:
                     break
-        else:
-            count, least, best_t = find_stretches(
-                table,
-                slot,
-                share,
-                scale,
-                orders,
-                lossy,
-                W,
-                sticky,
-                loss,
-                box,
-                s,
-                bounded,
-                bottom,
-                top,
-                ends,
-                cores,
-            )
         nodes, total, most = 0, 0.0, 0.0
         mean, square = 0.0, 0.0
         count = partition(ends, cores, count, parts)
@@ -429,7 +353,7 @@ def posterior_pixels(
             step = (high - low) / n
             for j in range(n):
                 t = low + step * (j + 0.5)
-                Delta = tabulated_columns(table, slot, share, scale, t, orders, lossy, W, s)
+                Delta = columns_at(pixel, t, s)
                 m = reduce(s, sticky, loss)
                 grid.t[nodes], grid.cell[nodes], grid.members[nodes] = t, 0.5 * step, 0
                 along[nodes] = 0.0
@@ -457,13 +381,12 @@ def posterior_pixels(
                     bends,
                     across,
                 )
-                share_of_node = step * (1.0 - Delta)
-                constant = log_norm + log_prior + log_prior_t + log_prior_F
+                constant = log_prior + log_prior_t + log_prior_F
                 if m.beta2 > 0.0:
                     constant += _LOG_ROOT_2PI - 0.5 * math.log(m.beta2)
                 if m.gamma2 > 0.0:
                     constant += _LOG_ROOT_2PI - 0.5 * math.log(m.gamma2) - math.log(prior.tangent_high)
-                factor = share_of_node * math.exp(constant - log_norm)
+                factor = step * (1.0 - Delta) * math.exp(constant)
                 uy, ua, ub, uv = 0.0, 0.0, 0.0, 0.0
                 for r in range(u.shape[0]):
                     uy += u[r] * s.wy[r]
@@ -535,11 +458,8 @@ def posterior_pixels(
                 prior,
                 log_prior_F,
                 s,
-                along,
-                nodes,
                 quantiles[i],
                 histogram,
-                work,
                 whole,
             )
             reference = min(least, least_apart)
@@ -551,10 +471,9 @@ def posterior_pixels(
         summary[i, MISFIT_] = reference
         if least <= reference:
             # of the data alone: a prior of adhesion is none of them
-            tabulated_columns(table, slot, share, scale, best_t, orders, lossy, W, s)
+            columns_at(pixel, best_t, s)
             _, m, S = solved(reduce(s, sticky, loss), s, sticky, box)
-            F = m.F0 + m.F1 * S if m.beta2 > 0.0 else 0.0
-            F = min(max(F, box.weakest), box.strongest)
+            F = best_F(m, S, box)
             c = m.c0 + m.c1 * S + m.c2 * F
             misfit = 0.0
             for r in range(rows):
@@ -670,11 +589,8 @@ def _out_of_contact(
     prior: Prior,
     log_prior_F: float,
     s: Scratch,
-    along: _Floats,
-    nodes: int,
     quantiles: _Floats,
     histogram: _Floats,
-    work: _Floats,
     whole: bool,
 ) -> tuple[float, float]:
     """Sum over the gap where the tip stays out of contact; return the sum over exp(-chi2/2) and chi-squared.
@@ -724,7 +640,7 @@ def _out_of_contact(
     weights, F, spread = np.empty(n), np.empty(n), np.empty(n)
     F_low, F_high = math.inf, 0.0
     for k in range(n):
-        chi2, _, bb = apart(A, math.exp(ends[0] + step * k), columns, orders, lossy, W, s)
+        _, _, bb = apart(A, math.exp(ends[0] + step * k), columns, orders, lossy, W, s)
         free, by = 0.0, 0.0
         precision = bb + prior.adhesion_precision
         for r in range(rows):

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from overtone.inversion.table import NODES, SHALLOWEST, STEP, Table
+from overtone.inversion.columns import Columns, adhesive
+from overtone.inversion.table import NODES, SHALLOWEST, STEP, Table, elastic_scale
 from overtone.inversion.valley import Box, Scratch, reduce, solved, tabulated_columns
 from overtone.kernels import inlined, inner
 
@@ -23,43 +25,63 @@ _EVEN = 0.02
 _NARROWEST = 1e-10
 
 
+class Pixel(NamedTuple):
+    """What a search along the indentation of a pixel takes."""
+
+    columns: Columns
+    amplitude: float
+    table: Table
+    slot: int
+    """Where the amplitude stands in the table, and"""
+    share: float
+    """how far it is to the next one."""
+    scale: float
+    """A1^p."""
+    orders: _Orders
+    lossy: _Flags
+    W: _Floats
+    sticky: bool
+    """Whether the model has adhesion,"""
+    loss: bool
+    """and whether it has loss."""
+    box: Box
+
+
 @inlined
-def _bounded_tabulated(
+def pixel_at(
+    columns: Columns,
+    amplitude: float,
     table: Table,
     slot: int,
     share: float,
-    scale: float,
-    t: float,
     orders: _Orders,
     lossy: _Flags,
     W: _Floats,
-    sticky: bool,
-    loss: bool,
     box: Box,
-    s: Scratch,
-) -> float:
+) -> Pixel:
+    """Return a pixel that `overtone.inversion.table.locate` has found in the table."""
+    scale = elastic_scale(table, amplitude)
+    sticky, loss = adhesive(columns), columns.loss > 0.0
+    return Pixel(columns, amplitude, table, slot, share, scale, orders, lossy, W, sticky, loss, box)
+
+
+@inlined
+def columns_at(pixel: Pixel, t: float, s: Scratch) -> float:
+    """Fill the whitened columns and data of a pixel at t from the table; return Delta."""
+    return tabulated_columns(
+        pixel.table, pixel.slot, pixel.share, pixel.scale, t, pixel.orders, pixel.lossy, pixel.W, s
+    )
+
+
+@inlined
+def bounded_at(pixel: Pixel, t: float, s: Scratch) -> float:
     """Return the least chi-squared within bounds at t, by the table."""
-    tabulated_columns(table, slot, share, scale, t, orders, lossy, W, s)
-    return solved(reduce(s, sticky, loss), s, sticky, box)[0]
+    columns_at(pixel, t, s)
+    return solved(reduce(s, pixel.sticky, pixel.loss), s, pixel.sticky, pixel.box)[0]
 
 
 @inner
-def lowest_between(
-    table: Table,
-    slot: int,
-    share: float,
-    scale: float,
-    low: float,
-    high: float,
-    width: float,
-    orders: _Orders,
-    lossy: _Flags,
-    W: _Floats,
-    sticky: bool,
-    loss: bool,
-    box: Box,
-    s: Scratch,
-) -> tuple[float, float]:
+def lowest_between(pixel: Pixel, low: float, high: float, width: float, s: Scratch) -> tuple[float, float]:
     """Return where the least chi-squared within bounds is smallest between two t, by golden section, and its size.
 
     Derivatives jump where a bound begins to hold, so none are used.
@@ -68,9 +90,7 @@ def lowest_between(
     f1, f2 = math.inf, math.inf
     first = True  # which of the two is new
     for step in range(_MOST_STEPS):
-        value = _bounded_tabulated(
-            table, slot, share, scale, x1 if first else x2, orders, lossy, W, sticky, loss, box, s
-        )
+        value = bounded_at(pixel, x1 if first else x2, s)
         if first:
             f1 = value
         else:
@@ -92,26 +112,12 @@ def lowest_between(
 
 
 @inner
-def scan_valley(
-    table: Table,
-    slot: int,
-    share: float,
-    scale: float,
-    orders: _Orders,
-    lossy: _Flags,
-    W: _Floats,
-    sticky: bool,
-    loss: bool,
-    box: Box,
-    s: Scratch,
-    stride: int,
-    bounded: _Floats,
-) -> int:
+def scan_valley(pixel: Pixel, stride: int, bounded: _Floats, s: Scratch) -> int:
     """Fill the least chi-squared within bounds at every ``stride`` nodes of the table; return where it is least."""
     least = 0
     for k in range((NODES - 1) // stride + 1):
         t = SHALLOWEST + STEP * stride * k
-        bounded[k] = _bounded_tabulated(table, slot, share, scale, t, orders, lossy, W, sticky, loss, box, s)
+        bounded[k] = bounded_at(pixel, t, s)
         if bounded[k] < bounded[least]:
             least = k
     return least

@@ -7,9 +7,9 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from overtone.inversion.search import lowest_between, scan_valley
-from overtone.inversion.table import NODES, SHALLOWEST, STEP, Table
-from overtone.inversion.valley import Box, Scratch, reduce, solved, tabulated_columns
+from overtone.inversion.search import Pixel, bounded_at, lowest_between, scan_valley
+from overtone.inversion.table import NODES, SHALLOWEST, STEP
+from overtone.inversion.valley import Scratch
 from overtone.kernels import inner
 
 _Floats = npt.NDArray[np.float64]
@@ -26,16 +26,7 @@ _NARROW_CORE = 0.4  # of its stretch
 
 @inner
 def _edge(
-    table: Table,
-    slot: int,
-    share: float,
-    scale: float,
-    orders: npt.NDArray[np.int64],
-    lossy: npt.NDArray[np.bool_],
-    W: _Floats,
-    sticky: bool,
-    loss: bool,
-    box: Box,
+    pixel: Pixel,
     s: Scratch,
     bounded: _Floats,
     where: float,
@@ -70,8 +61,7 @@ def _edge(
         x0, x1 = math.sqrt(max(at_inside - least, 0.0)), math.sqrt(at_outside - least)
         part = (math.sqrt(reach) - x0) / (x1 - x0)
         middle = inside + min(max(part, 0.25), 0.75) * (outside - inside)
-        tabulated_columns(table, slot, share, scale, middle, orders, lossy, W, s)
-        value = solved(reduce(s, sticky, loss), s, sticky, box)[0]
+        value = bounded_at(pixel, middle, s)
         if value > target:
             outside, at_outside = middle, value
             if value < target + 0.3 * reach:
@@ -85,16 +75,7 @@ def _edge(
 
 @inner
 def find_stretches(
-    table: Table,
-    slot: int,
-    share: float,
-    scale: float,
-    orders: npt.NDArray[np.int64],
-    lossy: npt.NDArray[np.bool_],
-    W: _Floats,
-    sticky: bool,
-    loss: bool,
-    box: Box,
+    pixel: Pixel,
     s: Scratch,
     bounded: _Floats,
     bottom: float,
@@ -108,7 +89,7 @@ def find_stretches(
     """
     nodes = (NODES - 1) // STRIDE + 1
     width = STEP * STRIDE
-    scan_valley(table, slot, share, scale, orders, lossy, W, sticky, loss, box, s, STRIDE, bounded)
+    scan_valley(pixel, STRIDE, bounded, s)
     least, deepest_at = math.inf, bottom
     minima = 0
     where, depth = np.empty(MODES), np.empty(MODES)
@@ -123,9 +104,7 @@ def find_stretches(
         low, high = max(t - width, bottom), min(t + width, top)
         if not low < high:
             continue
-        near, value = lowest_between(
-            table, slot, share, scale, low, high, 2e-3, orders, lossy, W, sticky, loss, box, s
-        )
+        near, value = lowest_between(pixel, low, high, 2e-3, s)
         if minima < MODES:
             where[minima], depth[minima] = near, value
             minima += 1
@@ -149,32 +128,10 @@ def find_stretches(
             continue  # within the stretch of the one before
         for side in range(2):
             limit = bottom if side == 0 else top
-            for inner_one in range(2):
-                reach = _CORE if inner_one else REACH
-                edge = _edge(
-                    table,
-                    slot,
-                    share,
-                    scale,
-                    orders,
-                    lossy,
-                    W,
-                    sticky,
-                    loss,
-                    box,
-                    s,
-                    bounded,
-                    where[j],
-                    depth[j],
-                    depth[j] if inner_one else least,
-                    reach,
-                    limit,
-                    side == 1,
-                )
-                if inner_one:
-                    cores[count, side] = edge
-                else:
-                    ends[count, side] = edge
+            ends[count, side] = _edge(pixel, s, bounded, where[j], depth[j], least, REACH, limit, side == 1)
+            cores[count, side] = _edge(
+                pixel, s, bounded, where[j], depth[j], depth[j], _CORE, limit, side == 1
+            )
         if count > 0 and ends[count, 0] < ends[count - 1, 1]:
             ends[count, 0] = ends[count - 1, 1]
         count += 1

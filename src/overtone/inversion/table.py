@@ -102,6 +102,12 @@ def locate(table: Table, amplitude: float) -> tuple[int, float]:
 
 
 @inlined
+def elastic_scale(table: Table, amplitude: float) -> float:
+    """Return A1^p, which the elastic columns of a table want."""
+    return amplitude * math.sqrt(amplitude) if table.power == 1.5 else float(amplitude**table.power)
+
+
+@inlined
 def interpolate(
     table: Table,
     slot: int,
@@ -147,4 +153,4 @@ def interpolate_block(
         if slot < 0:
             a[i], b[i] = math.nan, math.nan
             continue
-        interpolate(table, slot, share, amplitude[i] ** table.power, t[i], orders, a[i], b[i])
+        interpolate(table, slot, share, elastic_scale(table, amplitude[i]), t[i], orders, a[i], b[i])
