@@ -23,13 +23,18 @@ _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 _PACKAGE = Path(__file__).parent
 _ROOMS = ("contact", "dynamics", "inversion")
+_WITH_KERNELS = ("population",)  # of these rooms the files that have kernels
 _FLAGS: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 
 
 def _folder() -> str:
     """Return where to keep compiled kernels, empty where the compiler shall choose."""
     sources = [Path(__file__), *(path for room in _ROOMS for path in sorted((_PACKAGE / room).glob("*.py")))]
-    content = hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()[:16]
+    texts = [path.read_bytes() for path in sources]
+    for room in _WITH_KERNELS:
+        others = (path.read_bytes() for path in sorted((_PACKAGE / room).glob("*.py")))
+        texts += [text for text in others if b"overtone.kernels" in text]
+    content = hashlib.sha256(b"".join(texts)).hexdigest()[:16]
     # As the compiler does by itself: beside the sources, unless a folder is set or that one is read-only.
     base = Path(_config.CACHE_DIR) if _config.CACHE_DIR else _PACKAGE / "__pycache__"
     try:

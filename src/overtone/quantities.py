@@ -122,6 +122,9 @@ _QUANTITIES = (
     ),
     Quantity("model_difference", "", "1", "ln of the JKR modulus over the DMT modulus", "quality"),
     Quantity("reference", "", "1", "whether a pixel was taken as the reference material", "quality"),
+    Quantity("shrinkage", "", "1", "how far the phase of a pixel decides its ln E: 0 its own data, 1 its phase", "quality"),
+    Quantity("phase", "", "1", "phase of the pixel, found in what was measured", "quality"),
+    Quantity("phase_probability", "", "1", "probability that the pixel belongs to its phase", "quality"),
     Quantity("status", "", "1", "what this pixel can be trusted for", "quality"),
 )
 _BY_NAME = {quantity.name: quantity for quantity in _QUANTITIES}
@@ -129,6 +132,9 @@ LIFT = "lift_"
 """What begins the names of readings of a lift (Nap) pass, where they stand beside those of the scan."""
 _HARMONIC = re.compile(r"(A|phi)([1-9]\d*)")
 _VARIANTS = {
+    "_unpooled": "of the pixel by itself, without regard to its phase",
+    "_unpooled_lower": "lower end of the 90 % interval of the pixel by itself",
+    "_unpooled_upper": "upper end of the 90 % interval of the pixel by itself",
     "_unscreened": "every pixel the estimator finished",
     "_solutions": "every physical solution, deepest indentation last",
     "_lower": "lower end of the 90 % interval (noise; shared errors where the scan was calibrated)",

@@ -229,7 +229,7 @@ def force_harmonics_on(
 
 
 @inner
-def _difference(
+def difference_of(
     A: float, x: _Floats, columns: Columns, followed: Followed, f_known: _Complex, room: Room
 ) -> None:
     """Fill f of the room with what the harmonics of the motion add to those of the force at a solution, and renew b.
@@ -316,7 +316,7 @@ def difference_at(
     x = room.x
     F = best_F(m, S, pixel.box)
     x[S_], x[F_], x[C_], x[DELTA_] = S, F, max(m.c0 + m.c1 * S + m.c2 * F, 0.0), 2.0 * A * Delta
-    _difference(A, x, pixel.columns, followed, f_known, room)
+    difference_of(A, x, pixel.columns, followed, f_known, room)
     for r in range(orders.shape[0]):
         off = _row(room, orders[r], pixel.lossy[r])
         out[r] = off if math.isfinite(off) else 0.0
@@ -515,6 +515,6 @@ def _rows_left(
     left: _Floats,
 ) -> None:
     """Fill the data less what the harmonics of the motion add at a solution."""
-    _difference(A, x, columns, followed, f_known, room)
+    difference_of(A, x, columns, followed, f_known, room)
     for r in range(orders.shape[0]):
         left[r] = y[r] - _row(room, orders[r], lossy[r])

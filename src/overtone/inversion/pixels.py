@@ -48,6 +48,27 @@ class Pixels(NamedTuple):
     """(pixel or 1,): variance of it that is left, from the radius."""
 
 
+class Harmonics(NamedTuple):
+    """Force harmonics of a block of pixels, in the phase of the tip."""
+
+    f: _Complex
+    """(pixel, harmonic): CONS_n - i DISS_n [N]."""
+    errors: _Complex
+    """(pixel, harmonic, source): change by one standard deviation of each independent error of a reading."""
+    amplitude: _Floats
+    """(pixel,): of the tip [m]."""
+    turn: _Complex
+    """(pixel,): from the phase of the reading into that of the tip."""
+    usable: npt.NDArray[np.bool_]
+
+
+def in_rows(values: _Complex, rows: Rows) -> _Floats:
+    """Return complex harmonics (pixel, harmonic, ...) as the rows of an inversion (pixel, row, ...)."""
+    chosen = values[:, rows.harmonics]
+    lossy = rows.lossy.reshape((1, -1) + (1,) * (chosen.ndim - 2))
+    return np.where(lossy, -chosen.imag, chosen.real)
+
+
 class Shared(NamedTuple):
     """What a calibration leaves uncertain, for the pixels of a scan, flat."""
 
@@ -155,6 +176,28 @@ class Setting:
         exponent : float
             Change of ln of the elastic unknown with ln R at a given force.
         """
+        h = self.harmonics(block)
+        f, errors = h.f, h.errors
+        count = f.shape[0]
+        rows = self.rows.orders.size
+        y, W, usable = np.empty((count, rows)), np.empty((count, rows, rows)), np.empty(count, np.bool_)
+        row_block(f, errors, self.rows, y, W, usable)
+        of_noise, pull, left = W, np.zeros((1, rows)), np.zeros(1)
+        if self.shared is not None:
+            changes, of_radius = self.changes(self.shared, block, h.turn)
+            of_noise, W = W, np.empty_like(W)
+            row_block(f, np.concatenate([errors, changes], axis=-1), self.rows, y, W, usable)
+            along = np.einsum("pij,pjs,s->pi", W, in_rows(changes, self.rows), of_radius)
+            # a residual says which way the shared errors went, and with them the radius
+            pull = -exponent * along
+            left = np.maximum(exponent**2 * ((of_radius**2).sum() - (along**2).sum(axis=1)), 0.0)
+            pull[~usable], left[~usable] = 0.0, 0.0
+        usable &= h.usable
+        known = np.ascontiguousarray(f[:, [i for i, n in enumerate(self.orders) if n > 1]])
+        return Pixels(y, W, of_noise, h.amplitude, usable, known, pull, left)
+
+    def harmonics(self, block: slice) -> Harmonics:
+        """Return the force harmonics of a block of pixels with the errors of their noise."""
         amplitude = np.ascontiguousarray(np.stack([a[block] for a in self.amplitudes], axis=1), dtype=float)
         phase = np.ascontiguousarray(np.stack([p[block] for p in self.phases], axis=1), dtype=float)
         count, harmonics = amplitude.shape
@@ -163,27 +206,19 @@ class Setting:
         of_the_tip, turn = np.empty(count), np.empty(count, complex)
         with np.errstate(invalid="ignore"):
             force_block(amplitude, phase, self.reader, f, errors, of_the_tip, turn)
-        rows = self.rows.orders.size
-        y, W, usable = np.empty((count, rows)), np.empty((count, rows, rows)), np.empty(count, np.bool_)
-        row_block(f, errors, self.rows, y, W, usable)
-        of_noise, pull, left = W, np.zeros((1, rows)), np.zeros(1)
-        if self.shared is not None:
-            changes, of_radius = self.shared.changes(block, self.orders)
-            changes = changes * turn[:, None, None] ** np.array(self.orders)[None, :, None]
-            of_noise, W = W, np.empty_like(W)
-            row_block(f, np.concatenate([errors, changes], axis=-1), self.rows, y, W, usable)
-            parts = changes[:, self.rows.harmonics]
-            parts = np.where(self.rows.lossy[None, :, None], -parts.imag, parts.real)
-            along = np.einsum("pij,pjs,s->pi", W, parts, of_radius)
-            # a residual says which way the shared errors went, and with them the radius
-            pull = -exponent * along
-            left = np.maximum(exponent**2 * ((of_radius**2).sum() - (along**2).sum(axis=1)), 0.0)
-            pull[~usable], left[~usable] = 0.0, 0.0
-        first = amplitude[:, self.orders.index(1)]
-        with np.errstate(invalid="ignore"):
-            usable &= (first > 0.0) & (first < _FARTHEST * abs(self.reader.free)) & np.isfinite(of_the_tip)
-        known = np.ascontiguousarray(f[:, [i for i, n in enumerate(self.orders) if n > 1]])
-        return Pixels(y, W, of_noise, of_the_tip, usable, known, pull, left)
+            first = amplitude[:, self.orders.index(1)]
+            usable = (first > 0.0) & (first < _FARTHEST * abs(self.reader.free)) & np.isfinite(of_the_tip)
+        return Harmonics(f, errors, of_the_tip, turn, usable)
+
+    def changes(
+        self, shared: Shared, pixels: npt.NDArray[np.intp] | slice, turn: _Complex
+    ) -> tuple[_Complex, _Floats]:
+        """Return what each shared error does to the harmonics of some pixels, in the phase of the tip, and to ln R.
+
+        ``turn`` (pixel,) is that of `Harmonics`.
+        """
+        changes, of_radius = shared.changes(pixels, self.orders)
+        return changes * turn[:, None, None] ** np.array(self.orders)[None, :, None], of_radius
 
 
 def radius_exponent(record: ContactModel, probe: Probe, given: Mapping[str, float]) -> float:

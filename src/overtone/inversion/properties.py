@@ -13,6 +13,7 @@ from overtone.contact.models import BUILT_IN, ContactModel, contact_model
 from overtone.contact.parameters import DISTANCE, POISSON_RATIO
 from overtone.errors import InversionError
 from overtone.harmonics import UNDETERMINED, energy, regime, to_force_harmonics
+from overtone.instrument.material import Reference
 from overtone.instrument.noise import complete_noise
 from overtone.inversion.columns import columns_of, is_linear, unknowns_of
 from overtone.inversion.marginal import Candidate, map_posteriors
@@ -67,8 +68,10 @@ __all__ = [
     "undetermined_properties",
 ]
 
+POPULATION = "population"
 METHODS = {
     "posterior": "medians and 90 % intervals of the posterior of each pixel",
+    POPULATION: "posteriors of pixels that share the material of their phase and the errors of the scan",
     "exact": "every solution of each pixel, without intervals",
     "least-squares": "the published estimator, for reproduction",
 }
@@ -92,6 +95,10 @@ def map_properties(
     motion: str = "full",
     intermolecular_distance: float = 0.2e-9,
     given: Mapping[str, float] | None = None,
+    phases: int | xr.DataArray | None = None,
+    reference: Reference | None = None,
+    reference_pixels: xr.DataArray | Sequence[float] | None = None,
+    seed: int = 0,
     dtype: str = "float64",
     progress: Callable[[int, int], None] | None = None,
 ) -> xr.Dataset:
@@ -110,7 +117,7 @@ def map_properties(
     poisson_ratio : float
         Poisson's ratio of the sample; it has no default.
     method : str
-        ``posterior``, ``exact`` or ``least-squares`` (the published estimator, for reproduction).
+        ``posterior``, ``population``, ``exact`` or ``least-squares`` (the published estimator, for reproduction).
     harmonics : sequence of int, optional
         Conservative harmonics used. Unless given those of 0 to 3 that were measured; for ``least-squares`` (0, 1, 2) or
         (1, 2, 3). A model with loss uses the dissipative ones above 0 as well.
@@ -127,6 +134,15 @@ def map_properties(
         a0 [m].
     given : mapping of str to float, optional
         What else the model has to know: half_angle, thickness, exponent.
+    phases : None, int or DataArray (y, x), optional
+        Population only: phases found by the scan, their number, or labels (-1 for pixels of none).
+    reference : Reference, optional
+        Population only: a material in the scan whose modulus is known. A scan that `overtone.correct` has anchored to
+        one needs none.
+    reference_pixels : DataArray (y, x) or sequence, optional
+        Where it lies: a mask, or a rectangle (x0, y0, x1, y1) [m].
+    seed : int
+        Of the draws of the population.
     dtype : str
         ``float64``, or ``float32`` for maps of half the size.
     progress : callable, optional
@@ -173,9 +189,16 @@ def map_properties(
     orders = tuple(sorted({*cons, *diss, 1}))
     validate_observables(observables)
     sigma = complete_noise(noise, orders)
-    setting = Setting.of(observables, probe, cons, diss, sigma)
-    sheet = Sheet(observables["A1"], dtype)
+    scans = [observables]
+    if method == POPULATION:
+        from overtone.population.population import split_scans
+
+        scans = split_scans(observables)
+    settings = [Setting.of(scan, probe, cons, diss, sigma) for scan in scans]
+    setting = settings[0]
+    sheet = Sheet(scans[0]["A1"], dtype)
     stated = {}
+    materials = None
     if method == "least-squares":
         map_least_squares(setting, records[0], columns[0], sheet, progress=progress)
     elif method == "exact":
@@ -196,6 +219,22 @@ def map_properties(
             for r, c in zip(records, columns, strict=True)
         )
         map_posteriors(setting, candidates, probe, sheet, full_motion=motion == "full", progress=progress)
+        if method == POPULATION:
+            from overtone.population.population import Request, pool_scan
+
+            materials = pool_scan(
+                settings,
+                scans,
+                records[0],
+                columns[0],
+                candidates[0].priors,
+                probe,
+                candidates[0].exponent,
+                Request(phases, reference, reference_pixels, seed),
+                sheet,
+                full_motion=motion == "full",
+                progress=progress,
+            )
         together = {name: prior for c in candidates for name, prior in c.priors.items()}
         stated = {"priors": format_priors(together)}
     reading = reading_of(observables)
@@ -212,8 +251,12 @@ def map_properties(
     if doubts:
         reasons = dict.fromkeys(line for doubt in doubts for line in doubt.splitlines())
         attributes["cannot_conclude"] = " ".join(f"{reason}." for reason in reasons)
+    result = sheet.dataset(attributes)
+    if materials is not None:
+        result = result.assign(materials.arrays).assign_attrs(materials.attributes)
+        stated |= {"phases": "given" if isinstance(phases, xr.DataArray) else phases, "seed": seed}
     return provenance.record(
-        sheet.dataset(attributes),
+        result,
         "map_properties",
         probe=format_probe(probe),
         model=model,

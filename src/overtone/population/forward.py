@@ -1,0 +1,568 @@
+"""The force harmonics of a material, on the motion that the tip makes: what the pixels of a phase have in common.
+
+Of a material ln E, its force of adhesion and its loss tangent count, and at each set-point the indentation that goes
+with them. Given ln E the others are found by Newton's method against what was measured of all materials of a scan
+together, whose errors are not independent of each other: they share a calibration.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from overtone.inversion.columns import WORK_ROWS, Columns, fill_columns
+from overtone.inversion.exact import C_, DELTA_, F_, S_
+from overtone.inversion.linear import stiffness
+from overtone.inversion.motion import Followed, Room, difference_of, new_room
+from overtone.inversion.posterior import Prior
+from overtone.inversion.table import DEEPEST, SHALLOWEST
+from overtone.kernels import inner, kernel
+
+_Floats = npt.NDArray[np.float64]
+_Complex = npt.NDArray[np.complex128]
+
+ADHESION, TANGENT, FIRST_DEPTH = 0, 1, 2
+"""Unknowns of a material at a given modulus: force of adhesion over the unit, loss tangent, then t of each scan."""
+
+BY_MODULUS = 3
+"""Where the derivative by ln E stands among those of a row."""
+
+_PASSES = 2  # of the motion, to be at rest
+_NUDGES, _LEAST_NUDGED = 0.01, 0.05  # steps of a derivative, and the least size of what is changed by a share
+_STEPS = 25
+_CLIMB = 60
+_LONGEST = 0.5  # step of t
+_SETTLED = 1e-3  # of the squared length of a step, in standard deviations
+
+
+class Scene(NamedTuple):
+    """What a scan, or several of one area, have measured of their materials."""
+
+    columns: Columns
+    orders: npt.NDArray[np.int64]
+    """(row,)."""
+    lossy: npt.NDArray[np.bool_]
+    """(row,): True for DISS_n."""
+    amplitude: _Floats
+    """(material, scan): of the tip [m]."""
+    followed: Followed
+    nothing: _Complex
+    """(harmonic,): NaN; the harmonics of the motion are those of the model."""
+    unit: float
+    """Of force [N]."""
+    centre: _Floats
+    """(datum,): force harmonics in units, material by material, scan by scan; behind them ln E of the references."""
+    precision: _Floats
+    """(datum, datum): of all of them together, whatever they share integrated out."""
+    references: npt.NDArray[np.int64]
+    """(reference,): materials whose ln E is a datum."""
+
+
+@inner
+def rows_of_material(
+    scene: Scene, k: int, scan: int, x: float, v: _Floats, room: Room, work: _Floats, f: _Floats, J: _Floats
+) -> None:
+    """Fill the rows of a material in a scan, and their derivatives (row, 4): by adhesion, loss, t and ln E.
+
+    ``x`` is ln E, ``v`` as `ADHESION` and what follows it orders them. The derivatives are those on a bare cosine.
+    """
+    columns, unit = scene.columns, scene.unit
+    A = scene.amplitude[k, scan]
+    t = v[FIRST_DEPTH + scan]
+    Delta = 1.0 / (1.0 + math.exp(-t))
+    by_t = Delta * (1.0 - Delta)
+    S, share = stiffness(columns.contact, math.exp(x))
+    tangent, F = v[TANGENT], v[ADHESION] * unit
+    full = room.b.shape[0] > 0
+    if full:
+        room.x[S_], room.x[F_], room.x[C_], room.x[DELTA_] = S, F, S * tangent, 2.0 * A * Delta
+        difference_of(A, room.x, columns, scene.followed, scene.nothing, room)
+        a, da, b, db = room.work[0], room.work[1], room.work[2], room.work[3]
+    else:
+        fill_columns(columns, A, Delta, work.shape[1] - 1, work)
+        a, da, b, db = work[0], work[1], work[2], work[3]
+    for r in range(scene.orders.shape[0]):
+        n = scene.orders[r]
+        if scene.lossy[r]:
+            f[r] = -n * S * tangent * a[n] / unit
+            J[r, 0], J[r, 1], J[r, 2] = 0.0, -n * S * a[n] / unit, -n * S * tangent * da[n] * by_t / unit
+            J[r, BY_MODULUS] = -n * S * share * tangent * a[n] / unit
+            if full:
+                f[r] -= room.f[n].imag / unit
+        else:
+            f[r] = (S * a[n] + F * b[n]) / unit
+            J[r, 0], J[r, 1], J[r, 2] = b[n], 0.0, (S * da[n] + F * db[n]) * by_t / unit
+            J[r, BY_MODULUS] = S * share * a[n] / unit
+            if full:
+                f[r] += room.f[n].real / unit
+
+
+class Desk(NamedTuple):
+    """Scratch of one thread, for so many materials and scans."""
+
+    room: Room
+    work: _Floats
+    motions: _Complex
+    """(material, scan, harmonic): of the motion, from the last time."""
+    f: _Floats
+    """(datum,)."""
+    J: _Floats
+    """(datum, unknown)."""
+    J_x: _Floats
+    """(datum, material): by ln E."""
+    E: _Floats
+    """(datum, 4): what the harmonics of the motion add to the derivatives of a row."""
+    part: _Floats
+    """(row, 4)."""
+    H: _Floats
+    """(unknown, unknown)."""
+    g: _Floats
+    """(unknown,)."""
+
+
+@inner
+def new_desk(scene: Scene) -> Desk:
+    """Return scratch."""
+    materials, scans = scene.amplitude.shape
+    size, m = scene.centre.shape[0], materials * (FIRST_DEPTH + scans)
+    n_max = 0
+    for r in range(scene.orders.shape[0]):
+        n_max = max(n_max, scene.orders[r])
+    return Desk(
+        new_room(scene.followed),
+        np.zeros((WORK_ROWS, n_max + 1)),
+        np.zeros((materials, scans, scene.followed.tip.shape[0]), np.complex128),
+        np.zeros(size),
+        np.zeros((size, m)),
+        np.zeros((size, materials)),
+        np.zeros((size, 4)),
+        np.zeros((scene.orders.shape[0], 4)),
+        np.zeros((m, m)),
+        np.zeros(m),
+    )
+
+
+@inner
+def all_rows(scene: Scene, x: _Floats, v: _Floats, desk: Desk) -> None:
+    """Fill f and J of the desk for every material; ``v`` is (material, unknown)."""
+    materials, scans = scene.amplitude.shape
+    rows, each = scene.orders.shape[0], FIRST_DEPTH + scans
+    desk.J[:] = 0.0
+    for k in range(materials):
+        for s in range(scans):
+            start = (k * scans + s) * rows
+            desk.room.b[:] = desk.motions[k, s]
+            rows_of_material(
+                scene, k, s, x[k], v[k], desk.room, desk.work, desk.f[start : start + rows], desk.part
+            )
+            desk.motions[k, s] = desk.room.b
+            for r in range(rows):
+                E = desk.E[start + r]
+                desk.J[start + r, k * each + ADHESION] = desk.part[r, 0] + E[0]
+                desk.J[start + r, k * each + TANGENT] = desk.part[r, 1] + E[1]
+                desk.J[start + r, k * each + FIRST_DEPTH + s] = desk.part[r, 2] + E[2]
+                desk.J_x[start + r, k] = desk.part[r, BY_MODULUS] + E[BY_MODULUS]
+    for j in range(scene.references.shape[0]):
+        desk.f[materials * scans * rows + j] = x[scene.references[j]]
+        desk.J_x[materials * scans * rows + j, scene.references[j]] = 1.0
+
+
+@inner
+def _of_the_motion(scene: Scene, desk: Desk, d: _Floats) -> None:
+    """Fill what the harmonics of the motion add to the rows, as the room holds it from the last time."""
+    for r in range(scene.orders.shape[0]):
+        n = scene.orders[r]
+        d[r] = (-desk.room.f[n].imag if scene.lossy[r] else desk.room.f[n].real) / scene.unit
+
+
+@inner
+def correct_slopes(scene: Scene, k: int, x: float, v: _Floats, desk: Desk) -> None:
+    """Fill E of the desk for a material: small beside the slopes on a bare cosine, and not to be neglected.
+
+    The posterior is long in some directions and narrow in others, so that slopes that are off by a per cent point out
+    of it.
+    """
+    scans, rows = scene.amplitude.shape[1], scene.orders.shape[0]
+    if desk.room.b.shape[0] == 0:
+        return
+    here, there = np.empty(rows), np.empty(rows)
+    f, at = np.empty(rows), v.copy()
+    for s in range(scans):
+        start = (k * scans + s) * rows
+        desk.room.b[:] = desk.motions[k, s]
+        for _ in range(_PASSES):
+            rows_of_material(scene, k, s, x, v, desk.room, desk.work, f, desk.part)
+        desk.motions[k, s] = desk.room.b
+        _of_the_motion(scene, desk, here)
+        for p in range(4):
+            at[:] = v
+            x_there, step = x, _NUDGES
+            if p == BY_MODULUS:
+                x_there = x + step
+            elif p == 2:
+                at[FIRST_DEPTH + s] += step
+            else:
+                step = _NUDGES * max(abs(v[p]), _LEAST_NUDGED)
+                at[p] += step
+            desk.room.b[:] = desk.motions[k, s]
+            for _ in range(_PASSES):
+                rows_of_material(scene, k, s, x_there, at, desk.room, desk.work, f, desk.part)
+            _of_the_motion(scene, desk, there)
+            for r in range(rows):
+                slope = (there[r] - here[r]) / step
+                desk.E[start + r, p] = slope if math.isfinite(slope) else 0.0
+
+
+@inner
+def log_density(scene: Scene, prior: Prior, x: _Floats, v: _Floats, f: _Floats) -> float:
+    """Return ln of the posterior density of (ln E, v) whose rows are f, but for a constant."""
+    materials, scans = scene.amplitude.shape
+    size = f.shape[0]
+    total = 0.0
+    for i in range(size):
+        di = f[i] - scene.centre[i]
+        row = 0.0
+        for j in range(size):
+            row += scene.precision[i, j] * (f[j] - scene.centre[j])
+        total -= 0.5 * di * row
+    for k in range(materials):
+        if not prior.log_low < x[k] < prior.log_high:
+            return -math.inf
+        total -= 0.5 * prior.precision * (x[k] - prior.centre) ** 2
+        F = v[k, ADHESION] * scene.unit
+        if not prior.adhesion_low <= F <= prior.adhesion_high:
+            return -math.inf
+        total -= 0.5 * prior.adhesion_precision * (F - prior.adhesion_mean) ** 2
+        if not 0.0 <= v[k, TANGENT] <= prior.tangent_high:
+            return -math.inf
+        for s in range(scans):
+            t = v[k, FIRST_DEPTH + s]
+            if not SHALLOWEST < t < DEEPEST:
+                return -math.inf
+            # every ratio of indentations alike
+            total -= math.log1p(math.exp(t))
+    return total
+
+
+@inner
+def cholesky(H: _Floats) -> bool:
+    """Replace a positive matrix by its lower factor; return False where it is none."""
+    m = H.shape[0]
+    for i in range(m):
+        for j in range(i + 1):
+            total = H[i, j]
+            for k in range(j):
+                total -= H[i, k] * H[j, k]
+            if i == j:
+                if not total > 0.0:
+                    return False
+                H[i, i] = math.sqrt(total)
+            else:
+                H[i, j] = total / H[j, j]
+        for j in range(i + 1, m):
+            H[i, j] = 0.0
+    return True
+
+
+@inner
+def settle_materials(
+    scene: Scene, prior: Prior, sticky: bool, loss: bool, x: _Floats, v: _Floats, desk: Desk
+) -> float:
+    """Move v to where the posterior at given ln E is largest, bounds left aside; return ln of the mass about it.
+
+    The lower factor of the precision there is left in H of the desk; minus infinity where the search fails.
+    """
+    materials, scans = scene.amplitude.shape
+    each = FIRST_DEPTH + scans
+    m, size, rows = materials * each, desk.f.shape[0], scene.orders.shape[0]
+    desk.motions[:] = 0.0
+    before = math.inf
+    for step in range(_STEPS):
+        all_rows(scene, x, v, desk)
+        for a in range(m):
+            desk.g[a] = 0.0
+            for b in range(m):
+                desk.H[a, b] = 0.0
+        for i in range(size):
+            pull = 0.0
+            for j in range(size):
+                pull += scene.precision[i, j] * (scene.centre[j] - desk.f[j])
+            for a in range(m):
+                if desk.J[i, a] != 0.0:
+                    desk.g[a] += desk.J[i, a] * pull
+        # J is zero but for the own columns of a material
+        for i in range(size):
+            for b in range(m):
+                along = 0.0
+                first = (b // each) * scans * rows
+                for j in range(first, first + scans * rows):
+                    along += scene.precision[i, j] * desk.J[j, b]
+                for a in range(b + 1):
+                    if desk.J[i, a] != 0.0:
+                        desk.H[a, b] += desk.J[i, a] * along
+        for k in range(materials):
+            at = k * each
+            F = v[k, ADHESION] * scene.unit
+            weight = prior.adhesion_precision * scene.unit
+            desk.g[at + ADHESION] -= weight * (F - prior.adhesion_mean)
+            desk.H[at + ADHESION, at + ADHESION] += weight * scene.unit
+            if not sticky:
+                desk.H[at + ADHESION, at + ADHESION] += 1.0
+                desk.g[at + ADHESION] = 0.0
+            if not loss:
+                desk.H[at + TANGENT, at + TANGENT] += 1.0
+                desk.g[at + TANGENT] = 0.0
+            for s in range(scans):
+                Delta = 1.0 / (1.0 + math.exp(-v[k, FIRST_DEPTH + s]))
+                desk.g[at + FIRST_DEPTH + s] -= Delta
+                desk.H[at + FIRST_DEPTH + s, at + FIRST_DEPTH + s] += Delta * (1.0 - Delta)
+        for a in range(m):
+            for b in range(a):
+                desk.H[a, b] = desk.H[b, a]
+        if not cholesky(desk.H):
+            return -math.inf
+        # L L' step = g; its squared length in standard deviations is |L^-1 g|^2
+        length = 0.0
+        for a in range(m):
+            total = desk.g[a]
+            for b in range(a):
+                total -= desk.H[a, b] * desk.g[b]
+            desk.g[a] = total / desk.H[a, a]
+            length += desk.g[a] ** 2
+        for a in range(m - 1, -1, -1):
+            total = desk.g[a]
+            for b in range(a + 1, m):
+                total -= desk.H[b, a] * desk.g[b]
+            desk.g[a] = total / desk.H[a, a]
+        share = 1.0
+        for k in range(materials):
+            for s in range(scans):
+                far = abs(desk.g[k * each + FIRST_DEPTH + s])
+                if far * share > _LONGEST:
+                    share = _LONGEST / far
+        if not math.isfinite(length):
+            return -math.inf
+        # where steps stop to shrink Newton's method swings about a bend
+        if step > 8 and length > 0.5 * before:
+            share *= 0.5
+        before = length
+        for k in range(materials):
+            for a in range(each):
+                v[k, a] += share * desk.g[k * each + a]
+            for s in range(scans):
+                t = v[k, FIRST_DEPTH + s]
+                v[k, FIRST_DEPTH + s] = min(max(t, SHALLOWEST + 0.1), DEEPEST - 0.1)
+        if length < _SETTLED:
+            break
+    if before > 1.0:
+        return -math.inf
+    all_rows(scene, x, v, desk)
+    value = 0.0
+    for i in range(size):
+        row = 0.0
+        for j in range(size):
+            row += scene.precision[i, j] * (desk.f[j] - scene.centre[j])
+        value -= 0.5 * (desk.f[i] - scene.centre[i]) * row
+    for k in range(materials):
+        F = v[k, ADHESION] * scene.unit
+        value -= 0.5 * prior.adhesion_precision * (F - prior.adhesion_mean) ** 2
+        value -= 0.5 * prior.precision * (x[k] - prior.centre) ** 2
+        for s in range(scans):
+            value -= math.log1p(math.exp(v[k, FIRST_DEPTH + s]))
+    for a in range(m):
+        value -= math.log(desk.H[a, a])
+    return value
+
+
+@inner
+def _cost(scene: Scene, prior: Prior, x: _Floats, v: _Floats, f: _Floats) -> float:
+    """Return minus ln of the posterior density, bounds left aside."""
+    size = f.shape[0]
+    total = 0.0
+    for i in range(size):
+        row = 0.0
+        for j in range(size):
+            row += scene.precision[i, j] * (f[j] - scene.centre[j])
+        total += 0.5 * (f[i] - scene.centre[i]) * row
+    for k in range(x.shape[0]):
+        total += 0.5 * prior.precision * (x[k] - prior.centre) ** 2
+        total += 0.5 * prior.adhesion_precision * (v[k, ADHESION] * scene.unit - prior.adhesion_mean) ** 2
+        for s in range(v.shape[1] - FIRST_DEPTH):
+            total += math.log1p(math.exp(v[k, FIRST_DEPTH + s]))
+    return total
+
+
+@kernel
+def climb(
+    scene: Scene, prior: Prior, sticky: bool, loss: bool, x: _Floats, v: _Floats, covariance: _Floats
+) -> float:
+    """Move all unknowns of all materials to where the posterior is largest; return ln of its density there.
+
+    Levenberg and Marquardt's method; bounds of adhesion and loss are left aside. ``covariance`` (material, material)
+    is filled with that of ln E about the summit.
+    """
+    desk = new_desk(scene)
+    materials, each = v.shape
+    m, size = materials * each, desk.f.shape[0]
+    all_of = m + materials
+    J, H, g = np.zeros((size, all_of)), np.zeros((all_of, all_of)), np.zeros(all_of)
+    x_new, v_new = x.copy(), v.copy()
+    for _ in range(4):
+        all_rows(scene, x, v, desk)
+    cost, damping = _cost(scene, prior, x, v, desk.f), 1e-3
+    for _ in range(_CLIMB):
+        for k in range(materials):
+            correct_slopes(scene, k, x[k], v[k], desk)
+        all_rows(scene, x, v, desk)
+        J[:, :m], J[:, m:] = desk.J, desk.J_x
+        H[:] = J.T @ scene.precision @ J
+        g[:] = J.T @ (scene.precision @ (scene.centre - desk.f))
+        for k in range(materials):
+            at = k * each
+            weight = prior.adhesion_precision * scene.unit
+            g[at + ADHESION] -= weight * (v[k, ADHESION] * scene.unit - prior.adhesion_mean)
+            H[at + ADHESION, at + ADHESION] += weight * scene.unit
+            g[m + k] -= prior.precision * (x[k] - prior.centre)
+            H[m + k, m + k] += prior.precision + 1e-3
+            if not sticky:
+                H[at + ADHESION, at + ADHESION] += 1.0
+                g[at + ADHESION] = 0.0
+            if not loss:
+                H[at + TANGENT, at + TANGENT] += 1.0
+                g[at + TANGENT] = 0.0
+            for s in range(each - FIRST_DEPTH):
+                Delta = 1.0 / (1.0 + math.exp(-v[k, FIRST_DEPTH + s]))
+                g[at + FIRST_DEPTH + s] -= Delta
+                H[at + FIRST_DEPTH + s, at + FIRST_DEPTH + s] += Delta * (1.0 - Delta)
+        if not math.isfinite(H.sum() + g.sum()):
+            return -math.inf
+        scale = np.sqrt(np.diag(H))
+        done = False
+        for _ in range(12):
+            A = H / np.outer(scale, scale)
+            for a in range(all_of):
+                A[a, a] += damping
+            step = np.linalg.solve(A, g / scale) / scale
+            share = 1.0
+            for k in range(materials):
+                share = min(share, 1.0 / max(abs(step[m + k]), 1.0))
+                for s in range(each - FIRST_DEPTH):
+                    share = min(share, _LONGEST / max(abs(step[k * each + FIRST_DEPTH + s]), _LONGEST))
+            for k in range(materials):
+                x_new[k] = min(max(x[k] + share * step[m + k], prior.log_low), prior.log_high)
+                for a in range(each):
+                    v_new[k, a] = v[k, a] + share * step[k * each + a]
+                for s in range(each - FIRST_DEPTH):
+                    t = v_new[k, FIRST_DEPTH + s]
+                    v_new[k, FIRST_DEPTH + s] = min(max(t, SHALLOWEST + 0.1), DEEPEST - 0.1)
+            for _ in range(2):
+                all_rows(scene, x_new, v_new, desk)
+            there = _cost(scene, prior, x_new, v_new, desk.f)
+            if there < cost:
+                done = cost - there < 1e-4 and share == 1.0
+                x[:], v[:] = x_new, v_new
+                cost = there
+                damping = max(0.2 * damping, 1e-12)
+                break
+            damping = max(5.0 * damping, 1e-9)
+        else:
+            done = True
+        if done:
+            break
+    scale = np.sqrt(np.diag(H))
+    A = H / np.outer(scale, scale)
+    for a in range(all_of):
+        A[a, a] += 1e-12
+    whole = np.linalg.inv(A)
+    for k in range(materials):
+        for j in range(materials):
+            covariance[k, j] = whole[m + k, m + j] / (scale[m + k] * scale[m + j])
+    return -cost
+
+
+@kernel
+def starts_of_material(
+    scene: Scene, sticky: bool, loss: bool, ln_E: _Floats, v: _Floats, chi2: _Floats, places: _Floats
+) -> None:
+    """Fill what fits one material best, linear in all but the indentation, at places t along its valley.
+
+    Parameters
+    ----------
+    scene : Scene
+        Of one material in one scan.
+    sticky, loss : bool
+        Whether the model has adhesion, and loss.
+    ln_E, v, chi2 : array (place,), (place, unknown), (place,)
+        Filled; ln E is NaN where no sample is so stiff, or softer than nothing.
+    places : array (place,)
+        t.
+    """
+    desk = new_desk(scene)
+    rows = scene.orders.shape[0]
+    G, h, c = np.empty((3, 3)), np.empty(3), np.empty((rows, 3))
+    contact = scene.columns.contact
+    x0, v0 = np.zeros(1), np.zeros((1, FIRST_DEPTH + 1))
+    for i in range(places.shape[0]):
+        v0[:] = 0.0
+        v0[0, FIRST_DEPTH] = places[i]
+        x0[0] = 18.0
+        S0 = stiffness(contact, math.exp(x0[0]))[0]
+        # two passes: the motion of the first is that of a material without adhesion
+        for _ in range(3):
+            desk.motions[:] = 0.0
+            all_rows(scene, x0, v0, desk)
+            S = stiffness(contact, math.exp(x0[0]))[0]
+            # f = S a + F b + S tan v + what the harmonics of the motion add
+            for r in range(rows):
+                of_loss = desk.J[r, TANGENT] / S
+                c[r, 1] = desk.J[r, ADHESION]
+                c[r, 2] = of_loss
+                bare = v0[0, ADHESION] * c[r, 1] + S * v0[0, TANGENT] * of_loss
+                c[r, 0] = (desk.f[r] - bare) / S
+            for a in range(3):
+                h[a] = 0.0
+                for b in range(3):
+                    G[a, b] = 0.0
+            for r in range(rows):
+                for q in range(rows):
+                    w = scene.precision[r, q]
+                    for a in range(3):
+                        h[a] += c[r, a] * w * scene.centre[q]
+                        for b in range(3):
+                            G[a, b] += c[r, a] * w * c[q, b]
+            if not sticky:
+                G[1, :], G[:, 1], G[1, 1], h[1] = 0.0, 0.0, 1.0, 0.0
+            if not loss:
+                G[2, :], G[:, 2], G[2, 2], h[2] = 0.0, 0.0, 1.0, 0.0
+            # a motion that runs away, of a material that is none
+            if not math.isfinite(G.sum() + h.sum()):
+                break
+            scale = np.sqrt(np.diag(G))
+            for a in range(3):
+                for b in range(3):
+                    G[a, b] /= scale[a] * scale[b]
+                h[a] /= scale[a]
+            solution = np.linalg.solve(G + 1e-13 * np.eye(3), h) / scale
+            if not solution[0] > 0.0:
+                break
+            compliance = contact.factor / solution[0] - contact.tip_compliance
+            if not compliance > 0.0:
+                break
+            x0[0] = math.log(contact.sample_factor / compliance)
+            v0[0, ADHESION], v0[0, TANGENT] = max(solution[1], 0.0), max(solution[2] / solution[0], 0.0)
+        else:
+            S0 = 0.0
+        if S0 != 0.0:
+            ln_E[i], chi2[i] = math.nan, math.inf
+            continue
+        all_rows(scene, x0, v0, desk)
+        total = 0.0
+        for r in range(rows):
+            for q in range(rows):
+                total += (desk.f[r] - scene.centre[r]) * scene.precision[r, q] * (desk.f[q] - scene.centre[q])
+        ln_E[i], chi2[i] = x0[0], total
+        v[i, :] = places[i]
+        v[i, :FIRST_DEPTH] = v0[0, :FIRST_DEPTH]

@@ -1,0 +1,171 @@
+"""How the harmonics of a pixel go with its material while the feedback holds the amplitude.
+
+A pixel that is stiffer than its phase is indented less, by what keeps amplitude and drive in balance,
+``|A1/G - f_1| = F_dr`` (theory of the steady state). So the harmonics of a phase are curved functions of
+(ln E, ln F_ad, ln tan), and the mean over its pixels is not that of the median material: it is off by half of the
+curvature times the variance of the properties. Small as this is, what is ill-conditioned would amplify it.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from overtone.inversion.table import DEEPEST, SHALLOWEST
+from overtone.kernels import inner, kernel
+from overtone.population.forward import (
+    ADHESION,
+    FIRST_DEPTH,
+    TANGENT,
+    Desk,
+    Scene,
+    new_desk,
+    rows_of_material,
+)
+
+_Floats = npt.NDArray[np.float64]
+_Complex = npt.NDArray[np.complex128]
+
+PROPERTIES = 3
+"""ln of the elastic unknown, of the force of adhesion and of the loss tangent."""
+_STEP = 0.1
+_STEPS = 30
+_CLOSE = 1e-10
+_LONGEST = 0.3
+
+
+@inner
+def _drive(scene: Scene, f: _Floats, first: _Floats, still: complex) -> float:
+    """Return the squared force of the drive that balances the first harmonic [unit^2]."""
+    cons, diss = 0.0, -still.imag
+    for r in range(scene.orders.shape[0]):
+        if scene.orders[r] == 1:
+            if scene.lossy[r]:
+                diss = f[r]
+            else:
+                cons = f[r]
+    # f_1 = CONS_1 - i DISS_1; first is A1/G
+    return (first[0] - cons) ** 2 + (first[1] + diss) ** 2
+
+
+@inner
+def _held(
+    scene: Scene,
+    k: int,
+    scan: int,
+    x: float,
+    v: _Floats,
+    first: _Floats,
+    still: complex,
+    goal: float,
+    desk: Desk,
+    f: _Floats,
+) -> None:
+    """Fill the rows of a material at the indentation that balances the drive; ``v`` holds a start and is moved."""
+    at = FIRST_DEPTH + scan
+    step = 0.0
+    for _ in range(_STEPS):
+        rows_of_material(scene, k, scan, x, v, desk.room, desk.work, f, desk.part)
+        off = _drive(scene, f, first, still) - goal
+        cons, diss, d_cons, d_diss = 0.0, -still.imag, 0.0, 0.0
+        for r in range(scene.orders.shape[0]):
+            if scene.orders[r] == 1:
+                if scene.lossy[r]:
+                    diss, d_diss = f[r], desk.part[r, 2]
+                else:
+                    cons, d_cons = f[r], desk.part[r, 2]
+        slope = -2.0 * (first[0] - cons) * d_cons + 2.0 * (first[1] + diss) * d_diss
+        if slope == 0.0:
+            break
+        step = min(max(-off / slope, -_LONGEST), _LONGEST)
+        v[at] = min(max(v[at] + step, SHALLOWEST), DEEPEST)
+        if abs(step) < _CLOSE:
+            break
+
+
+@kernel
+def curvature(
+    scene: Scene,
+    k: int,
+    x: float,
+    v: _Floats,
+    first: _Floats,
+    still: _Complex,
+    free: npt.NDArray[np.bool_],
+    f: _Floats,
+    J: _Floats,
+    H: _Floats,
+    depth: _Floats,
+    along: _Floats,
+) -> None:
+    """Fill the rows of a material, and how they go with ln of its properties while the amplitude is held.
+
+    Parameters
+    ----------
+    scene : Scene
+        Of all materials.
+    k : int
+        Which.
+    x, v : float, array (unknown,)
+        The material.
+    first : array (scan, 2)
+        A1/G, real and imaginary part [unit].
+    still : array (scan,)
+        f_1 as it was measured, for models without loss [unit].
+    free : array (PROPERTIES,)
+        Properties that the model has.
+    f, J, H : array (datum,), (datum, PROPERTIES), (datum, PROPERTIES, PROPERTIES)
+        Filled [unit], rows of all scans of the material.
+    depth : array (scan, PROPERTIES)
+        Filled: change of t.
+    along : array (datum, scan)
+        Filled: change of the rows with t of a scan alone [unit].
+    """
+    desk = new_desk(scene)
+    rows, scans = scene.orders.shape[0], scene.amplitude.shape[1]
+    at = v.copy()
+    there = np.zeros((2 * PROPERTIES, rows))
+    t = np.zeros(2 * PROPERTIES)
+    pair = np.zeros(rows)
+    J[:], H[:], depth[:], along[:] = 0.0, 0.0, 0.0, 0.0
+    for s in range(scans):
+        block = s * rows
+        desk.room.b[:] = 0.0
+        for _ in range(6):
+            rows_of_material(scene, k, s, x, v, desk.room, desk.work, f[block : block + rows], desk.part)
+        for r in range(rows):
+            along[block + r, s] = desk.part[r, 2]
+        here = f[block : block + rows]
+        goal = _drive(scene, here, first[s], still[s])
+        for i in range(PROPERTIES):
+            for side in range(2):
+                step = _STEP if side == 0 else -_STEP
+                at[:] = v
+                x_there = x + step if i == 0 else x
+                at[ADHESION] *= math.exp(step) if i == 1 else 1.0
+                at[TANGENT] *= math.exp(step) if i == 2 else 1.0
+                if free[i]:
+                    _held(scene, k, s, x_there, at, first[s], still[s], goal, desk, there[2 * i + side])
+                t[2 * i + side] = at[FIRST_DEPTH + s]
+            if not free[i]:
+                continue
+            depth[s, i] = (t[2 * i] - t[2 * i + 1]) / (2.0 * _STEP)
+            for r in range(rows):
+                up, down = there[2 * i, r], there[2 * i + 1, r]
+                J[block + r, i] = (up - down) / (2.0 * _STEP)
+                H[block + r, i, i] = (up + down - 2.0 * here[r]) / _STEP**2
+        for i in range(PROPERTIES):
+            for j in range(i):
+                if not (free[i] and free[j]):
+                    continue
+                at[:] = v
+                at[FIRST_DEPTH + s] = t[2 * i] + t[2 * j] - v[FIRST_DEPTH + s]
+                x_there = x + _STEP if j == 0 else x
+                at[ADHESION] *= math.exp(_STEP) if 1 in (i, j) else 1.0
+                at[TANGENT] *= math.exp(_STEP) if i == 2 else 1.0
+                _held(scene, k, s, x_there, at, first[s], still[s], goal, desk, pair)
+                for r in range(rows):
+                    H[block + r, i, j] = (pair[r] - there[2 * i, r] - there[2 * j, r] + here[r]) / _STEP**2
+                    H[block + r, j, i] = H[block + r, i, j]

@@ -1,0 +1,460 @@
+"""Method ``population``: pixels of one phase share one distribution, and all of them one calibration.
+
+Phases are told apart in what was measured. The joint posterior of their materials has what the calibration left open
+outside of the product over pixels, so that no number of pixels sharpens a wrong number; a reference of known modulus
+takes part in it. A pixel is then pulled towards its phase as far as its own data leave it open.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import xarray as xr
+
+from overtone.blocks import run_blocks
+from overtone.contact.models import ContactModel
+from overtone.errors import InversionError
+from overtone.instrument.material import Reference
+from overtone.instrument.reference import reference_pixels
+from overtone.inversion.columns import Columns
+from overtone.inversion.motion import FEW, follow
+from overtone.inversion.pixels import Setting
+from overtone.inversion.priors import Prior, for_kernel
+from overtone.inversion.result import (
+    DETERMINED,
+    MISSING_DATA,
+    NO_CONTACT,
+    NOT_DETERMINED,
+    POOR_FIT,
+    WIDEST_DETERMINED,
+    Sheet,
+)
+from overtone.population.draws import mixture_of, quantities_of, tilts
+from overtone.population.evidence import TILES, Harvest, Known, beyond_scatter, harvest
+from overtone.population.joint import Joint, infer
+from overtone.population.materials import Question
+from overtone.population.phases import NONE, Phases, find_phases, labels_as_phases
+from overtone.population.pooled import QUANTILES, pool
+from overtone.population.table import Material, Materials, materials_of, verdict_of
+from overtone.probe import Probe
+
+_Floats = npt.NDArray[np.float64]
+_Indices = npt.NDArray[np.intp]
+
+SCAN_DIMS = ("scan", "setpoint", "direction")
+"""Dimensions along which scans of one area are stacked."""
+_BLOCK = 2048
+_FEWEST = 30  # pixels of a phase that is pooled
+_GRADIENT = 0.35
+"""Smallest change of ln of a property that would explain what wanders within a phase, from which it is none."""
+_UNEXPLAINED = 0.03  # share of the variance
+_EVEN = 0.6
+"""Share of an even slope in what is smooth, from which it is no second material."""
+_DEPTHS = (2, 1)
+"""Pixels from the edge of a phase from which on a pixel tells of its material, if so many are left."""
+_LEAST_KEPT = 0.25
+_OUTLIER = 1e-4
+_MARKED = 0.5  # share of the marked pixels that make a phase the reference
+
+
+@dataclass(frozen=True)
+class Request:
+    """How phases and reference are given.
+
+    Parameters
+    ----------
+    phases : None, int or DataArray (y, x)
+        Chosen by the scan, their number, or labels (-1 for none).
+    reference : Reference, optional
+        Material of known modulus in the scan.
+    reference_pixels : DataArray or sequence, optional
+        Mask or rectangle (x0, y0, x1, y1) [m] of the reference.
+    seed : int
+        Of the draws.
+    """
+
+    phases: int | xr.DataArray | None = None
+    reference: Reference | None = None
+    reference_pixels: xr.DataArray | Sequence[float] | None = None
+    seed: int = 0
+
+
+def split_scans(observables: xr.Dataset) -> list[xr.Dataset]:
+    """Return the scans of a stack, one without a stacking dimension by itself.
+
+    Raises
+    ------
+    InversionError
+        If the scans are not maps over two dimensions.
+    """
+    dims = [dim for dim in SCAN_DIMS if dim in observables["A1"].dims]
+    scans = [observables]
+    for dim in dims:
+        scans = [scan.isel({dim: i}, drop=True) for scan in scans for i in range(scan.sizes[dim])]
+    if len(scans[0]["A1"].dims) != 2:
+        raise InversionError(
+            "phases are found in maps",
+            expected="observables over (y, x), or a stack of them along scan, setpoint or direction",
+            got=str(tuple(map(str, observables["A1"].dims))),
+            hint='method="posterior" takes any dimensions',
+        )
+    return scans
+
+
+def pool_scan(
+    settings: Sequence[Setting],
+    scans: Sequence[xr.Dataset],
+    record: ContactModel,
+    columns: Columns,
+    priors: Mapping[str, Prior],
+    probe: Probe,
+    exponent: float,
+    request: Request,
+    sheet: Sheet,
+    *,
+    full_motion: bool,
+    progress: Callable[[int, int], None] | None,
+) -> Materials:
+    """Sharpen the posteriors of a sheet by what the pixels of its phases share; return the materials.
+
+    Parameters
+    ----------
+    settings, scans : sequence of Setting, of Dataset
+        Scans of one area.
+    record, columns, priors, probe
+        The model, what it takes, what is known before, and the lever.
+    exponent : float
+        Change of ln of the elastic unknown with ln R at a given force.
+    request : Request
+        Phases and reference.
+    sheet : Sheet
+        With the posterior of every pixel; what is pooled is replaced, what it was kept as ``<name>_unpooled``.
+    full_motion : bool
+        Whether the harmonics of the motion count.
+    progress : callable, optional
+        Called with (pixels done, pixels in all).
+    """
+    like = scans[0]["A1"]
+    data = harvest(settings)
+    setting = settings[0]
+    first = next(iter(priors))
+    question = Question(
+        columns,
+        setting.rows,
+        follow(probe, setting.known, FEW if full_motion else 0),
+        for_kernel(priors, first),
+    )
+    names = quantities_of(question)
+    for name in names:
+        for variant in ("", "_lower", "_upper"):
+            source = f"{name}_unscreened" if not variant else f"{name}{variant}"
+            sheet.values[f"{name}_unpooled{variant}"] = sheet.values[source].copy()
+    sheet.add("shrinkage", fill=0.0)
+    sheet.add("phase", fill=NONE, dtype="int8")
+    sheet.add("phase_probability", fill=0.0)
+    found = _phases(request, scans, data, settings)
+    label = found.label.ravel()
+    sheet.values["phase"][:] = label
+    sheet.values["phase_probability"][:] = found.probability.ravel()
+    members = [np.flatnonzero((label == k) & data.usable) for k in range(found.count)]
+    which, known, anchored = _reference(request, scans[0], members)
+    inner = [_away_from_edges(pixels, like.shape) for pixels in members]
+    tile = _tile_numbers(like.shape)
+    usual = [k for k in range(found.count) if len(members[k]) >= _FEWEST]
+    together = [k for k in usual if not (anchored and k == which)]
+    joints: dict[int, tuple[Joint, int]] = {}
+    for group in (together, [which] if anchored and which in usual else []):
+        if not group:
+            continue
+        facts = [Known(group.index(k), fact[0], fact[1], exponent) for k, fact in known.items() if k in group]
+        joints |= _inferred(settings, data, inner, tile, question, facts, group, request.seed)
+    materials = []
+    for k in range(found.count):
+        joint, place = joints.get(k, (None, 0))
+        merged = bool(found.merged[k]) and found.trend[k] < _EVEN
+        if joint is not None:
+            merged = merged or _wanders(joint, place) > _GRADIENT
+        merged = merged and not isinstance(request.phases, xr.DataArray)
+        materials.append(
+            Material(k, len(members[k]), int(found.domains[k]), not merged, k == which, joint, place)
+        )
+    done = 0
+    for material in materials:
+        if material.joint is None or not material.resolved:
+            continue
+        pixels = members[material.index]
+        _pool_phase(
+            settings, data, question, material, pixels, exponent, request.seed, sheet, names, progress
+        )
+        done += len(pixels)
+    sheet.attributes["phase"] = {
+        "flag_values": [NONE, *range(found.count)],
+        "flag_meanings": " ".join(
+            ["none", *(_name(k, which, request, scans[0]) for k in range(found.count))]
+        ),
+    }
+    return materials_of(
+        materials,
+        [_name(k, which, request, scans[0]) for k in range(found.count)],
+        question,
+        setting.rows,
+        exponent,
+        known,
+        found.note,
+        anchored,
+    )
+
+
+def _inferred(
+    settings: Sequence[Setting],
+    data: Harvest,
+    members: Sequence[_Indices],
+    tile: _Indices,
+    question: Question,
+    facts: Sequence[Known],
+    group: Sequence[int],
+    seed: int,
+) -> dict[int, tuple[Joint, int]]:
+    """Return the joint posterior of a group of phases, without those that the model cannot make."""
+    joint = infer(settings, data, [members[k] for k in group], tile, question, facts, seed)
+    if joint is not None:
+        return {k: (joint, i) for i, k in enumerate(group)}
+    if len(group) == 1:
+        return {}
+    # one of them cannot be made: the others by themselves
+    fine = []
+    for i, k in enumerate(group):
+        own = [fact._replace(material=0) for fact in facts if fact.material == i]
+        if infer(settings, data, [members[k]], tile, question, own, seed) is not None:
+            fine.append(k)
+    if not fine or len(fine) == len(group):
+        return {}
+    kept = [f._replace(material=fine.index(group[f.material])) for f in facts if group[f.material] in fine]
+    return _inferred(settings, data, members, tile, question, kept, fine, seed)
+
+
+def _phases(
+    request: Request, scans: Sequence[xr.Dataset], data: Harvest, settings: Sequence[Setting]
+) -> Phases:
+    shape = scans[0]["A1"].shape
+    y = np.where(data.usable[:, None], data.y, math.nan)
+    features = y.reshape(*shape, -1)
+    noise = _local_scatter(features, data.noise)
+    if isinstance(request.phases, xr.DataArray):
+        labels = request.phases
+        like = scans[0]["A1"]
+        if set(labels.dims) != set(like.dims) or any(labels.sizes[d] != like.sizes[d] for d in like.dims):
+            raise InversionError(
+                "the labels of the phases do not fit the scan",
+                expected=str(dict(like.sizes)),
+                got=str(dict(labels.sizes)),
+            )
+        return labels_as_phases(labels.transpose(*like.dims).values, features, noise)
+    return find_phases(features, noise, count=request.phases, seed=request.seed)
+
+
+def _local_scatter(features: _Floats, noise: _Floats) -> _Floats:
+    """Return the covariance of a pixel about its neighbours, no less than that of the noise.
+
+    The feedback holds the amplitude a little off at each pixel, and the material differs: noise, for telling phases.
+    """
+    steps = (features[:, 1:] - features[:, :-1]).reshape(-1, features.shape[-1])
+    steps = steps[np.isfinite(steps).all(axis=1)]
+    if len(steps) < 50:
+        return noise
+    W = np.linalg.inv(np.linalg.cholesky(noise))
+    length = ((steps @ W.T) ** 2).sum(axis=1)
+    calm = steps[length <= np.quantile(length, 0.8)]
+    # the quietest four fifths of a Gaussian of so many dimensions hold less than its covariance
+    from scipy.stats import chi2
+
+    size = features.shape[-1]
+    cut = chi2.ppf(0.8, size)
+    share = chi2.cdf(cut, size + 2) / 0.8
+    seen = calm.T @ calm / len(calm) / 2.0 / share
+    values, vectors = np.linalg.eigh(W @ seen @ W.T)
+    root = np.linalg.inv(W) @ vectors * np.sqrt(np.maximum(values, 1.0))
+    return np.asarray(root @ root.T)
+
+
+def _reference(
+    request: Request, scan: xr.Dataset, members: Sequence[_Indices]
+) -> tuple[int, dict[int, tuple[float, float]], bool]:
+    """Return which phase is the reference (-1 none), what is known of it, and whether it anchored the scan before."""
+    from overtone.instrument.correct import calibration_of
+
+    mask, anchored = None, False
+    name, value, error = "", None, 0.0
+    calibration = calibration_of(scan)
+    if request.reference is not None:
+        if request.reference.modulus is None:
+            raise InversionError(
+                "the modulus of the reference is not known",
+                expected="Reference(modulus=..., modulus_error=...)",
+                hint="its modulus, or no reference",
+            )
+        name, value, error = (
+            request.reference.name,
+            request.reference.modulus,
+            request.reference.modulus_error,
+        )
+        if request.reference_pixels is None:
+            raise InversionError(
+                "where the reference lies is not said",
+                expected="a mask or a rectangle",
+                hint="reference_pixels=",
+            )
+    if request.reference_pixels is not None:
+        if request.reference is None:
+            raise InversionError(
+                "pixels of a reference without its modulus", expected="reference=Reference(...)"
+            )
+        mask = reference_pixels(scan, request.reference_pixels).ravel()
+    elif "reference" in scan and calibration is not None and calibration.reference is not None:
+        stated = calibration.reference.properties.get("modulus")
+        if stated is not None:
+            mask, anchored = np.asarray(scan["reference"].values).ravel() == 1, True
+            name, value, error = calibration.reference.name, stated[0], stated[1]
+    if mask is None or value is None:
+        return -1, {}, False
+    del name
+    shares = [float(mask[pixels].mean()) * (mask[pixels].sum() / max(mask.sum(), 1)) for pixels in members]
+    hits = [float(mask[pixels].sum()) / max(int(mask.sum()), 1) for pixels in members]
+    if not hits or max(hits) < _MARKED:
+        if anchored:
+            return -1, {}, False
+        raise InversionError(
+            "the pixels of the reference belong to no one phase",
+            expected=f"half of them or more in one of {len(members)} phases",
+            got=", ".join(f"{100 * hit:.0f} %" for hit in hits) or "no phases",
+            hint="phases=, a mask of your own, or a rectangle inside of the reference",
+        )
+    which = int(np.argmax(shares))
+    return which, {which: (math.log(value), max(error, 1e-3))}, anchored
+
+
+def _name(k: int, which: int, request: Request, scan: xr.Dataset) -> str:
+    if k == which:
+        from overtone.instrument.correct import calibration_of
+
+        calibration = calibration_of(scan)
+        if request.reference is not None:
+            return "_".join(request.reference.name.split())
+        if calibration is not None and calibration.reference is not None:
+            return "_".join(calibration.reference.name.split()) or "reference"
+    return f"phase_{k + 1}"
+
+
+def _away_from_edges(pixels: _Indices, shape: tuple[int, ...]) -> _Indices:
+    """Return the pixels of a phase that no other phase or edge is next to: the tip, and the interphase, mix there."""
+    from scipy.ndimage import binary_erosion
+
+    mask = np.zeros(shape, bool)
+    mask.ravel()[pixels] = True
+    for depth in _DEPTHS:
+        kept = binary_erosion(mask, np.ones((3, 3), bool), iterations=depth, border_value=1)
+        if kept.sum() >= max(_FEWEST, _LEAST_KEPT * len(pixels)):
+            return np.flatnonzero(kept.ravel())
+    return pixels
+
+
+def _tile_numbers(shape: tuple[int, ...]) -> _Indices:
+    rows, columns = shape
+    y = np.arange(rows) * TILES // rows
+    x = np.arange(columns) * TILES // columns
+    return np.asarray((y[:, None] * TILES + x[None, :]).ravel(), dtype=np.intp)
+
+
+def _wanders(joint: Joint, place: int) -> float:
+    """Return the least change of ln of properties that explains what wanders smoothly within a phase."""
+    tiles, response = joint.tiles[place], joint.responses[place]
+    unit = joint.evidence.unit
+    shared = tiles.changes.shape[2]
+    z = joint.draws.z[:, :shared].mean(axis=0)
+    # slopes that the instrument adds are none of the sample
+    away = tiles.changes - np.average(tiles.changes, axis=0, weights=tiles.count)
+    count = tiles.count.astype(float)
+    between = beyond_scatter((tiles.y - away @ z) / unit, count, tiles.within / unit**2)
+    # what is left over may be the bend of the harmonics: a tenth of what wanders need not be explained
+    V = tiles.within / unit**2 / float(np.median(count)) + np.diag(
+        _UNEXPLAINED * np.maximum(np.diag(between), 0.0)
+    )
+    J = response.J
+    prior = np.eye(J.shape[1])
+    G = prior @ J.T @ np.linalg.inv(J @ prior @ J.T + V)
+    changes = G @ between @ G.T
+    return math.sqrt(max(float(np.linalg.eigvalsh(changes)[-1]), 0.0))
+
+
+def _pool_phase(
+    settings: Sequence[Setting],
+    data: Harvest,
+    question: Question,
+    material: Material,
+    pixels: _Indices,
+    exponent: float,
+    seed: int,
+    sheet: Sheet,
+    names: tuple[str, ...],
+    progress: Callable[[int, int], None] | None,
+) -> None:
+    """Replace the answers of the pixels of a phase."""
+    from scipy.stats import chi2
+
+    joint, k = material.joint, material.place
+    assert joint is not None
+    tiles, unit = joint.tiles[k], joint.evidence.unit
+    mixture, shrinkage, precision = mixture_of(
+        settings, question, joint, k, tilts(settings, tiles, pixels), data.noise, exponent, seed
+    )
+    y = (data.y[pixels] - (data.amplitude[pixels] - tiles.amplitude) @ tiles.slope.T) / unit
+    shared = settings[0].shared
+    place = np.zeros((len(pixels), 3))
+    if shared is not None:
+        centre = np.average(tiles.place, axis=0, weights=tiles.count)
+        place = np.stack([part[pixels] for part in shared.where], axis=1) - centre
+    quantiles = np.empty((len(pixels), len(names), len(QUANTILES)))
+    spreads = np.empty((len(pixels), len(names)))
+
+    def run(block: slice) -> None:
+        pool(y[block], place[block], mixture, np.array(QUANTILES), quantiles[block], spreads[block])
+
+    run_blocks(run, len(pixels), _BLOCK, progress)
+    # a pixel unlike the others of its phase is not told by them what it is
+    off = y - np.average(y, axis=0)
+    distance = np.einsum("pi,ij,pj->p", off, precision, off)
+    fits = distance < chi2.isf(_OUTLIER, y.shape[1]) * max(
+        float(np.median(distance)) / chi2.median(y.shape[1]), 1.0
+    )
+    fits &= sheet.values["status"][pixels] != MISSING_DATA
+    fits &= sheet.values["status"][pixels] != NO_CONTACT
+    sheet.values["phase"][pixels[~fits]] = NONE
+    pixels, quantiles, spreads = pixels[fits], quantiles[fits], spreads[fits]
+    values = np.exp(quantiles)
+    width = quantiles[:, 0, 2] - quantiles[:, 0, 0]
+    status = np.where(width <= WIDEST_DETERMINED, DETERMINED, NOT_DETERMINED).astype(np.int8)
+    if material.misfit_probability < 1e-3:
+        status[:] = POOR_FIT
+    for q, name in enumerate(names):
+        narrow = quantiles[:, q, 2] - quantiles[:, q, 0] <= WIDEST_DETERMINED
+        fine = narrow & (status != POOR_FIT)
+        if name == "modulus":
+            fine = status == DETERMINED
+        sheet.put(name, pixels, np.where(fine, values[:, q, 1], math.nan))
+        sheet.put(f"{name}_unscreened", pixels, values[:, q, 1])
+        sheet.put(f"{name}_lower", pixels, values[:, q, 0])
+        sheet.put(f"{name}_upper", pixels, values[:, q, 2])
+    sheet.put("status", pixels, status)
+    sheet.put("uncertainty", pixels, spreads[:, 0])
+    own = float(np.sqrt(np.mean(mixture.spread[:, 0] ** 2)))
+    if "uncertainty_statistical" in sheet.values:
+        sheet.put("uncertainty_statistical", pixels, own)
+        sheet.put("uncertainty_systematic", pixels, np.sqrt(np.maximum(spreads[:, 0] ** 2 - own**2, 0.0)))
+    sheet.put("shrinkage", pixels, float(np.mean(shrinkage)))
+
+
+__all__ = ["Materials", "Request", "pool_scan", "split_scans", "verdict_of"]

@@ -1,0 +1,388 @@
+"""Draws from the posterior of all materials of a scan together.
+
+What a scan measures of its phases is sharp in most directions and open in a few, along which the unknowns bend: a step
+that is straight in them leaves the floor of that valley at once. So a step is straight in the force harmonics instead.
+It is drawn in the tangent plane of what the model can make of them, downhill as Langevin has it, with the local
+metric; the unknowns then follow by Newton's method to where the harmonics have gone as far within that plane. Metropolis
+and Hastings' rule, with the density of a step that this gives, makes the draws those of the posterior itself.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from overtone.inversion.posterior import Prior
+from overtone.inversion.table import DEEPEST, SHALLOWEST
+from overtone.kernels import inner, kernel
+from overtone.population.forward import (
+    ADHESION,
+    FIRST_DEPTH,
+    TANGENT,
+    Desk,
+    Scene,
+    all_rows,
+    cholesky,
+    correct_slopes,
+    log_density,
+    new_desk,
+    settle_materials,
+)
+
+_Floats = npt.NDArray[np.float64]
+_Complex = npt.NDArray[np.complex128]
+
+MOST_NODES = 240
+"""Places of a profile along ln E, in each direction."""
+_DOWN = 14.0  # of ln of the density below its largest, where a profile ends
+_FIRST_STEP, _LONGEST_STEP, _SHORTEST_STEP = 0.02, 0.4, 1e-3
+_RETRACT = 12
+_ARRIVED, _LOST = 1e-8, 1e8  # squared length of what is left of a step, in the local metric
+_TOO_FAR, _TOO_NEAR = 1.5, 0.4  # change of ln of the density between two places
+
+
+@kernel
+def profile(
+    scene: Scene,
+    prior: Prior,
+    sticky: bool,
+    loss: bool,
+    x0: float,
+    v0: _Floats,
+    x: _Floats,
+    log_mass: _Floats,
+    v: _Floats,
+) -> int:
+    """Fill places of ln E, up and down from a start, with the mass of the posterior there; return how many.
+
+    Parameters
+    ----------
+    scene : Scene
+        Of one material.
+    prior : Prior
+        As `overtone.inversion.posterior` has it.
+    x0, v0 : float, array (unknown,)
+        Where to begin.
+    x, log_mass, v : array (node,), (node,), (node, unknown)
+        Filled; `MOST_NODES` nodes for each direction.
+    """
+    desk = new_desk(scene)
+    here, at = np.zeros(1), np.zeros((1, v0.shape[0]))
+    count = 0
+    best = -math.inf
+    for way in range(2):
+        sign = 1.0 if way == 0 else -1.0
+        here[0], at[0] = x0, v0
+        step, last = _FIRST_STEP, -math.inf
+        x_last, v_last = x0, at.copy()
+        for k in range(MOST_NODES):
+            value = settle_materials(scene, prior, sticky, loss, here, at, desk)
+            if value > -math.inf:
+                correct_slopes(scene, 0, here[0], at[0], desk)
+                value = settle_materials(scene, prior, sticky, loss, here, at, desk)
+            if k > 0 and step > _SHORTEST_STEP and not abs(value - last) < _TOO_FAR and value > -math.inf:
+                step *= 0.5
+                here[0] = x_last + sign * step
+                at[:] = v_last
+                continue
+            if value == -math.inf:
+                if step <= _SHORTEST_STEP or k == 0:
+                    break
+                step *= 0.5
+                here[0] = x_last + sign * step
+                at[:] = v_last
+                continue
+            if not (way == 1 and k == 0):
+                x[count], log_mass[count], v[count] = here[0], value, at[0]
+                count += 1
+            best = max(best, value)
+            if value < best - _DOWN:
+                break
+            if k > 0 and abs(value - last) < _TOO_NEAR:
+                step = min(1.5 * step, _LONGEST_STEP)
+            x_last, v_last[:] = here[0], at
+            last = value
+            there = min(max(here[0] + sign * step, prior.log_low), prior.log_high)
+            if there == here[0]:
+                break
+            here[0] = there
+    return count
+
+
+class State(NamedTuple):
+    """A point of a chain, with what a step from it takes."""
+
+    u: _Floats
+    """(unknown,): v of all materials, then their ln E."""
+    f: _Floats
+    """(datum,)."""
+    J: _Floats
+    """(datum, unknown)."""
+    L: _Floats
+    """(unknown, unknown): lower factor of the metric."""
+    g: _Floats
+    """(unknown,): slope of ln of the density."""
+    motions: _Complex
+    """(material, scan, harmonic)."""
+
+
+@inner
+def _new_state(scene: Scene, desk: Desk) -> State:
+    m, materials = desk.J.shape[1], scene.amplitude.shape[0]
+    size = desk.f.shape[0]
+    return State(
+        np.zeros(m + materials),
+        np.zeros(size),
+        np.zeros((size, m + materials)),
+        np.zeros((m + materials, m + materials)),
+        np.zeros(m + materials),
+        desk.motions.copy(),
+    )
+
+
+@inner
+def _copy(state: State, other: State) -> None:
+    other.u[:], other.f[:], other.J[:] = state.u, state.f, state.J
+    other.L[:], other.g[:], other.motions[:] = state.L, state.g, state.motions
+
+
+@inner
+def _spread_out(u: _Floats, x: _Floats, v: _Floats) -> None:
+    """Fill ln E and v from the unknowns in one row."""
+    materials, each = v.shape
+    for k in range(materials):
+        x[k] = u[materials * each + k]
+        for a in range(each):
+            v[k, a] = u[k * each + a]
+
+
+@inner
+def _metric(scene: Scene, prior: Prior, sticky: bool, loss: bool, u: _Floats, P: _Floats) -> None:
+    """Fill what the priors add to the diagonal of the metric; whatever they are, no step is longer than they."""
+    materials, scans = scene.amplitude.shape
+    each = FIRST_DEPTH + scans
+    for k in range(materials):
+        P[k * each + ADHESION] = prior.adhesion_precision * scene.unit**2 if sticky else 1.0
+        P[k * each + ADHESION] += 12.0 * (scene.unit / (prior.adhesion_high - prior.adhesion_low)) ** 2
+        P[k * each + TANGENT] = 12.0 / prior.tangent_high**2 if loss else 1.0
+        for s in range(scans):
+            Delta = 1.0 / (1.0 + math.exp(-u[k * each + FIRST_DEPTH + s]))
+            P[k * each + FIRST_DEPTH + s] = Delta * (1.0 - Delta)
+        P[materials * each + k] = prior.precision + 12.0 / (prior.log_high - prior.log_low) ** 2
+
+
+@inner
+def _look(
+    scene: Scene,
+    prior: Prior,
+    sticky: bool,
+    loss: bool,
+    state: State,
+    desk: Desk,
+    x: _Floats,
+    v: _Floats,
+    P: _Floats,
+) -> float:
+    """Fill a state from its unknowns; return ln of the density there, minus infinity where there is none."""
+    materials, each = v.shape
+    m = materials * each
+    _spread_out(state.u, x, v)
+    desk.motions[:] = state.motions
+    for k in range(materials):
+        correct_slopes(scene, k, x[k], v[k], desk)
+    all_rows(scene, x, v, desk)
+    state.motions[:] = desk.motions
+    state.f[:] = desk.f
+    state.J[:, :m], state.J[:, m:] = desk.J, desk.J_x
+    value = log_density(scene, prior, x, v, desk.f)
+    if not math.isfinite(value):
+        return -math.inf
+    _metric(scene, prior, sticky, loss, state.u, P)
+    state.L[:] = state.J.T @ (scene.precision @ state.J)
+    state.g[:] = state.J.T @ (scene.precision @ (scene.centre - state.f))
+    for k in range(materials):
+        at = k * each
+        F = v[k, ADHESION] * scene.unit
+        state.g[at + ADHESION] -= prior.adhesion_precision * scene.unit * (F - prior.adhesion_mean)
+        state.g[m + k] -= prior.precision * (x[k] - prior.centre)
+        for s in range(each - FIRST_DEPTH):
+            state.g[at + FIRST_DEPTH + s] -= 1.0 / (1.0 + math.exp(-v[k, FIRST_DEPTH + s]))
+    for a in range(P.shape[0]):
+        state.L[a, a] += P[a]
+    if not cholesky(state.L):
+        return -math.inf
+    return value
+
+
+@inner
+def _solve(L: _Floats, b: _Floats, out: _Floats) -> None:
+    """Fill the solution of L L' out = b."""
+    n = b.shape[0]
+    for a in range(n):
+        total = b[a]
+        for c in range(a):
+            total -= L[a, c] * out[c]
+        out[a] = total / L[a, a]
+    for a in range(n - 1, -1, -1):
+        total = out[a]
+        for c in range(a + 1, n):
+            total -= L[c, a] * out[c]
+        out[a] = total / L[a, a]
+
+
+@inner
+def _log_det(A: _Floats) -> float:
+    """Return ln of the size of the determinant of a matrix of wild rows."""
+    scale = np.sqrt(np.abs(np.diag(A)) + 1e-300)
+    sign, value = np.linalg.slogdet(A / np.outer(scale, scale))
+    return value + 2.0 * np.log(scale).sum() if sign != 0.0 else -math.inf
+
+
+@inner
+def _log_step(
+    scene: Scene, start: State, end: State, stride: float, P: _Floats, work: _Floats, step: _Floats
+) -> float:
+    """Return ln of the density with which a step from one state ends at another, but for a constant."""
+    n = start.u.shape[0]
+    away = end.u - start.u
+    # the step in the tangent plane that leads there
+    work[:] = start.J.T @ (scene.precision @ (end.f - start.f))
+    for a in range(n):
+        work[a] += P[a] * away[a]
+    _solve(start.L, work, step)
+    _solve(start.L, start.g, work)
+    for a in range(n):
+        step[a] -= 0.5 * stride * stride * work[a]
+    length, log_L = 0.0, 0.0
+    for a in range(n):
+        along = 0.0
+        for c in range(a, n):
+            along += start.L[c, a] * step[c]
+        length += along * along
+        log_L += math.log(start.L[a, a])
+    M = start.J.T @ (scene.precision @ end.J)
+    for a in range(n):
+        M[a, a] += P[a]
+    return -0.5 * length / (stride * stride) - log_L + _log_det(M)
+
+
+@kernel
+def walk(
+    scene: Scene,
+    prior: Prior,
+    sticky: bool,
+    loss: bool,
+    stride: float,
+    x0: _Floats,
+    v0: _Floats,
+    normals: _Floats,
+    uniforms: _Floats,
+    x: _Floats,
+    v: _Floats,
+    f: _Floats,
+) -> float:
+    """Fill a chain of draws; return the share of the steps that were accepted.
+
+    Parameters
+    ----------
+    scene, prior, sticky, loss
+        All materials.
+    stride : float
+        Length of a step in the local metric.
+    x0, v0 : array (material,), (material, unknown)
+        Where the chain begins; replaced by where it ends.
+    normals, uniforms : array (step, unknown of all), (step,)
+        Random numbers.
+    x, v, f : array (step, material), (step, material, unknown), (step, datum)
+        Filled.
+    """
+    materials, each = v.shape[1], v.shape[2]
+    m = materials * each
+    n = m + materials
+    desk = new_desk(scene)
+    here, there = _new_state(scene, desk), _new_state(scene, desk)
+    P, P_there, work, step, goal, off = (
+        np.zeros(n),
+        np.zeros(n),
+        np.zeros(n),
+        np.zeros(n),
+        np.zeros(n),
+        np.zeros(n),
+    )
+    x_now, v_now = x0.copy(), v0.copy()
+    for k in range(materials):
+        here.u[m + k] = x0[k]
+        for a in range(each):
+            here.u[k * each + a] = v0[k, a]
+    value = _look(scene, prior, sticky, loss, here, desk, x_now, v_now, P)
+    accepted = 0
+    for i in range(x.shape[0]):
+        # downhill and at random, in the tangent plane
+        _solve(here.L, here.g, step)
+        for a in range(n - 1, -1, -1):
+            total = normals[i, a]
+            for c in range(a + 1, n):
+                total -= here.L[c, a] * work[c]
+            work[a] = total / here.L[a, a]
+        for a in range(n):
+            step[a] = 0.5 * stride * stride * step[a] + stride * work[a]
+        # L L' step: how far the harmonics have to go within that plane
+        for a in range(n):
+            total = 0.0
+            for c in range(a, n):
+                total += here.L[c, a] * step[c]
+            work[a] = total
+        for a in range(n):
+            total = 0.0
+            for c in range(a + 1):
+                total += here.L[a, c] * work[c]
+            goal[a] = total
+        there.u[:] = here.u + step
+        there.motions[:] = here.motions
+        found = False
+        for _ in range(_RETRACT):
+            inside = True
+            for a in range(n):
+                inside &= math.isfinite(there.u[a])
+            if not inside:
+                break
+            _spread_out(there.u, x_now, v_now)
+            for k in range(materials):
+                inside &= prior.log_low < x_now[k] < prior.log_high
+                for s in range(each - FIRST_DEPTH):
+                    inside &= SHALLOWEST < v_now[k, FIRST_DEPTH + s] < DEEPEST
+            if not inside:
+                break
+            desk.motions[:] = there.motions
+            all_rows(scene, x_now, v_now, desk)
+            there.motions[:] = desk.motions
+            off[:] = goal - here.J.T @ (scene.precision @ (desk.f - here.f))
+            for a in range(n):
+                off[a] -= P[a] * (there.u[a] - here.u[a])
+            _solve(here.L, off, work)
+            length = 0.0
+            for a in range(n):
+                length += work[a] * off[a]
+                there.u[a] += work[a]
+            if not length < _LOST:
+                break
+            if length < _ARRIVED:
+                found = True
+                break
+        if found:
+            candidate = _look(scene, prior, sticky, loss, there, desk, x_now, v_now, P_there)
+            if candidate > -math.inf:
+                forward = _log_step(scene, here, there, stride, P, work, step)
+                back = _log_step(scene, there, here, stride, P_there, work, step)
+                if math.log(max(uniforms[i], 1e-300)) < candidate - value + back - forward:
+                    _copy(there, here)
+                    P[:] = P_there
+                    value = candidate
+                    accepted += 1
+        _spread_out(here.u, x[i], v[i])
+        f[i] = here.f
+    x0[:], v0[:] = x[-1], v[-1]
+    return accepted / x.shape[0]
