@@ -183,7 +183,7 @@ def _mixtures(
         for j, two in enumerate(clouds):
             if j == k:
                 continue
-            apart = min(
+            apart = max(
                 _square(two.mean, one.mean, one.covariance), _square(one.mean, two.mean, two.covariance)
             )
             here = border[j] & (label == k)

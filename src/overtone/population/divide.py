@@ -26,8 +26,10 @@ _COHERENT = 0.05  # least variance shared by neighbours, of that of a pixel
 _DIRECTIONS = 4
 _SAMPLE = 2000
 _TRIED = 5
+_SHALLOW = 0.6  # density in a valley that is worth a try, of that of the lower summit
 _NEAR, _FAR = 2.2, 4.0  # distance to the edge of what counts as beside it [pixel]
 
+_VALLEY_BY_LASTING = 0.6  # small regions need a deeper valley: chance makes small ones
 _STRAIGHT = 0.1  # of the smaller side
 _ERRORS = 1.5  # standard errors by which neighbours may be alike by chance
 _FEW_PAIRS = 20
@@ -52,7 +54,7 @@ class Demand(NamedTuple):
 
 
 DEMANDS = (
-    Demand(valley=0.4, foot=0.09, lasting=0.12, wander=(0.04, 0.28), size=1.0, width=5),
+    Demand(valley=0.35, foot=0.09, lasting=0.12, wander=(0.04, 0.35), size=1.0, width=5),
     Demand(valley=0.15, foot=0.1, lasting=0.2, wander=(0.12, 0.25), size=10.0, width=3),
 )
 """One of them must be met: a steady material makes no edges by chance, one that wanders might."""
@@ -222,26 +224,35 @@ def divide(
         points = u.reshape(-1, u.shape[-1])[candidates]
         if len(points) < 60:
             break
-        found = modes_of(points, max(12, len(points) // 300))
-        if len(found.modes) < 2:
-            continue
-        for group in divisions(found)[:_TRIED]:
-            one = np.isin(found.label, list(group))
-            two = np.isin(found.label, [m for m in found.modes if m not in group])
-            if one.sum() < two.sum():
-                one, two = two, one
+        passed = []
+        for one in _guesses(points):
+            two = ~one
             direction = _between(points[one], points[two])
             along = u @ direction
             low, high = np.median(points[one] @ direction), np.median(points[two] @ direction)
             deep = [v for v in valleys(along.ravel()[held], low, high) if v[0] < deepest]
             for ratio, place in dict.fromkeys((*deep[:1], *sorted(deep)[:1])):
-                division = _by_edge(y @ direction, known, along > place, ratio, width, fewest)
-                if division is None:
-                    continue
-                if not along_lines(division.side, division.other):
-                    return division, False
-                lines = True
+                division = by_edge(y @ direction, known, along > place, ratio, width, fewest)
+                if division is not None:
+                    passed.append(division)
+        between = [d for d in passed if not along_lines(d.side, d.other)]
+        lines |= len(passed) > len(between)
+        if between:
+            return min(between, key=lambda d: d.ratio), False
     return None, lines
+
+
+def _guesses(points: _Floats) -> list[_Mask]:
+    """Return ways to divide a cloud, across passes between modes and in valleys along axes: the larger part of each."""
+    found = modes_of(points, max(12, len(points) // 300))
+    guesses = [np.isin(found.label, list(group)) for group in divisions(found)[:_TRIED]]
+    for axis in points.T:
+        low, high = np.quantile(axis, [0.01, 0.99])
+        deep = sorted(valleys(axis, low, high))[:1]
+        guesses += [axis > place for ratio, place in deep if ratio < _SHALLOW]
+    few = max(2, points.shape[1])
+    sides = [guess if guess.mean() > 0.5 else ~guess for guess in guesses]
+    return [side for side in sides if np.count_nonzero(~side) > few]
 
 
 def along_lines(side: _Mask, other: _Mask) -> bool:
@@ -265,10 +276,24 @@ def _between(one: _Floats, two: _Floats) -> _Floats:
     return np.asarray(np.linalg.solve(scatter, two.mean(axis=0) - one.mean(axis=0)))
 
 
-def _by_edge(
+def by_edge(
     score: _Floats, known: _Mask, above: _Mask, ratio: float, width: int, fewest: int
 ) -> Division | None:
-    """Return the two sides of a cut if their edge in space is one between phases, from scores of single pixels."""
+    """Return the two sides of a cut, if the edge between them is one between phases.
+
+    Parameters
+    ----------
+    score : array (y, x)
+        Of single pixels, along the direction that separates the sides.
+    known, above : array (y, x)
+        Pixels of the region, and those on the upper side of the cut by the averages about them.
+    ratio : float
+        Density in the valley, of that of the lower summit.
+    width : int
+        Of the averages [pixel].
+    fewest : int
+        Pixels of a phase.
+    """
     from scipy.ndimage import distance_transform_edt, median_filter
 
     high = median_filter((known & above).astype(np.uint8), 3).astype(bool) & known
@@ -291,7 +316,7 @@ def _by_edge(
     wander = _wander(s, inner[larger]), _wander(s, inner[smaller])
     pixels = min(high.sum(), low.sum())
     if not any(
-        ratio < demand.valley
+        ratio < min(demand.valley, _VALLEY_BY_LASTING * lasting)
         and abs(foot) < demand.foot
         and -_BELOW < brow - 1.0 < _OVERSHOOT
         and lasting > demand.lasting
@@ -323,7 +348,8 @@ def _wander(s: _Floats, mask: _Mask) -> float:
     low, high = np.quantile(s[mask], [0.01, 0.99])
     v = np.clip(s, low, high) - np.clip(s[mask], low, high).mean()
     total, count = 0.0, 0
-    for a, b in ((np.s_[:, 2:], np.s_[:, :-2]), (np.s_[2:], np.s_[:-2])):
+    # along a line the filters of an instrument make the nearest ones alike
+    for a, b in ((np.s_[:, 2:], np.s_[:, :-2]), (np.s_[1:], np.s_[:-1])):
         both = mask[a] & mask[b]
         total += float((v[a] * v[b])[both].sum())
         count += int(both.sum())

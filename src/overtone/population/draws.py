@@ -141,13 +141,13 @@ def mixture_of(
                 base[i, q] = np.log(2.0 * amplitude[k, 0] * Delta)
             elif name == "adhesion":
                 along[q, 1] = 1.0
-                base[i, q] = np.log(max(v[ADHESION] * unit, 1e-300))
+                base[i, q] = v[ADHESION] + np.log(unit)
             elif name == "loss_tangent":
                 along[q, 2] = 1.0
-                base[i, q] = np.log(max(v[TANGENT], 1e-300))
+                base[i, q] = v[TANGENT]
             else:
                 along[q, 0], along[q, 2] = share, 1.0
-                base[i, q] = np.log(max(S * v[TANGENT] / question.columns.loss, 1e-300)) + of_radius
+                base[i, q] = np.log(S / question.columns.loss) + v[TANGENT] + of_radius
         gain[i], bends[i] = G, response.H
         spread[i] = np.sqrt(np.maximum(np.einsum("qi,ij,qj->q", along, P, along), 1e-16))
     return Mixture(f, slope, bends, gain, lines, base, spread), shrinkage, np.median(inverses, axis=0)

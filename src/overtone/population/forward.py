@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from overtone.inversion.columns import WORK_ROWS, Columns, fill_columns
+from overtone.inversion.columns import WORK_ROWS, Columns, adhesive, fill_columns
 from overtone.inversion.exact import C_, DELTA_, F_, S_
 from overtone.inversion.linear import stiffness
 from overtone.inversion.motion import Followed, Room, difference_of, new_room
@@ -25,16 +25,20 @@ _Floats = npt.NDArray[np.float64]
 _Complex = npt.NDArray[np.complex128]
 
 ADHESION, TANGENT, FIRST_DEPTH = 0, 1, 2
-"""Unknowns of a material at a given modulus: force of adhesion over the unit, loss tangent, then t of each scan."""
+"""Unknowns of a material at a given modulus: ln of the force of adhesion over the unit, ln of the loss tangent, then t of
+each scan. What a model lacks stays as it is."""
 
 BY_MODULUS = 3
 """Where the derivative by ln E stands among those of a row."""
 
 _PASSES = 2  # of the motion, to be at rest
-_NUDGES, _LEAST_NUDGED = 0.01, 0.05  # steps of a derivative, and the least size of what is changed by a share
+_NUDGES = 0.01  # steps of a derivative
+_OPEN = 0.2
+"""Curvature of ln of what may vanish, at least: no step is longer than a factor of e or two."""
 _STEPS = 25
 _CLIMB = 60
-_LONGEST = 0.5  # step of t
+_LEAST = -6.0  # ln of an unknown with which a search begins
+_LONGEST, _LONGEST_LOG = 0.5, 1.0  # step of t, and of a logarithm
 _SETTLED = 1e-3  # of the squared length of a step, in standard deviations
 
 
@@ -75,7 +79,8 @@ def rows_of_material(
     Delta = 1.0 / (1.0 + math.exp(-t))
     by_t = Delta * (1.0 - Delta)
     S, share = stiffness(columns.contact, math.exp(x))
-    tangent, F = v[TANGENT], v[ADHESION] * unit
+    tangent = math.exp(v[TANGENT]) if columns.loss > 0.0 else 0.0
+    F = math.exp(v[ADHESION]) * unit if adhesive(columns) else 0.0
     full = room.b.shape[0] > 0
     if full:
         room.x[S_], room.x[F_], room.x[C_], room.x[DELTA_] = S, F, S * tangent, 2.0 * A * Delta
@@ -88,13 +93,14 @@ def rows_of_material(
         n = scene.orders[r]
         if scene.lossy[r]:
             f[r] = -n * S * tangent * a[n] / unit
-            J[r, 0], J[r, 1], J[r, 2] = 0.0, -n * S * a[n] / unit, -n * S * tangent * da[n] * by_t / unit
+            J[r, 0], J[r, 1] = 0.0, -n * S * tangent * a[n] / unit
+            J[r, 2] = -n * S * tangent * da[n] * by_t / unit
             J[r, BY_MODULUS] = -n * S * share * tangent * a[n] / unit
             if full:
                 f[r] -= room.f[n].imag / unit
         else:
             f[r] = (S * a[n] + F * b[n]) / unit
-            J[r, 0], J[r, 1], J[r, 2] = b[n], 0.0, (S * da[n] + F * db[n]) * by_t / unit
+            J[r, 0], J[r, 1], J[r, 2] = F * b[n] / unit, 0.0, (S * da[n] + F * db[n]) * by_t / unit
             J[r, BY_MODULUS] = S * share * a[n] / unit
             if full:
                 f[r] += room.f[n].real / unit
@@ -121,6 +127,10 @@ class Desk(NamedTuple):
     """(unknown, unknown)."""
     g: _Floats
     """(unknown,)."""
+    g_all: _Floats
+    """(unknown + material,): with those of ln E, as is"""
+    P: _Floats
+    """what the priors add to the metric."""
 
 
 @inner
@@ -142,6 +152,8 @@ def new_desk(scene: Scene) -> Desk:
         np.zeros((scene.orders.shape[0], 4)),
         np.zeros((m, m)),
         np.zeros(m),
+        np.zeros(m + materials),
+        np.zeros(m + materials),
     )
 
 
@@ -205,7 +217,6 @@ def correct_slopes(scene: Scene, k: int, x: float, v: _Floats, desk: Desk) -> No
             elif p == 2:
                 at[FIRST_DEPTH + s] += step
             else:
-                step = _NUDGES * max(abs(v[p]), _LEAST_NUDGED)
                 at[p] += step
             desk.room.b[:] = desk.motions[k, s]
             for _ in range(_PASSES):
@@ -217,34 +228,79 @@ def correct_slopes(scene: Scene, k: int, x: float, v: _Floats, desk: Desk) -> No
 
 
 @inner
-def log_density(scene: Scene, prior: Prior, x: _Floats, v: _Floats, f: _Floats) -> float:
-    """Return ln of the posterior density of (ln E, v) whose rows are f, but for a constant."""
-    materials, scans = scene.amplitude.shape
+def misfit(scene: Scene, f: _Floats) -> float:
+    """Return half of the chi-squared of all harmonics."""
     size = f.shape[0]
     total = 0.0
     for i in range(size):
-        di = f[i] - scene.centre[i]
         row = 0.0
         for j in range(size):
             row += scene.precision[i, j] * (f[j] - scene.centre[j])
-        total -= 0.5 * di * row
-    for k in range(materials):
-        if not prior.log_low < x[k] < prior.log_high:
-            return -math.inf
-        total -= 0.5 * prior.precision * (x[k] - prior.centre) ** 2
-        F = v[k, ADHESION] * scene.unit
-        if not prior.adhesion_low <= F <= prior.adhesion_high:
-            return -math.inf
-        total -= 0.5 * prior.adhesion_precision * (F - prior.adhesion_mean) ** 2
-        if not 0.0 <= v[k, TANGENT] <= prior.tangent_high:
-            return -math.inf
-        for s in range(scans):
-            t = v[k, FIRST_DEPTH + s]
-            if not SHALLOWEST < t < DEEPEST:
-                return -math.inf
-            # every ratio of indentations alike
-            total -= math.log1p(math.exp(t))
+        total += 0.5 * (f[i] - scene.centre[i]) * row
     return total
+
+
+@inner
+def log_prior(scene: Scene, prior: Prior, sticky: bool, loss: bool, x: _Floats, v: _Floats) -> float:
+    """Return ln of the prior density of (ln E, v), but for a constant and for bounds."""
+    total = 0.0
+    for k in range(x.shape[0]):
+        total -= 0.5 * prior.precision * (x[k] - prior.centre) ** 2
+        if sticky:  # every F_ad alike, but for what is known of it
+            F = math.exp(v[k, ADHESION]) * scene.unit
+            total += v[k, ADHESION] - 0.5 * prior.adhesion_precision * (F - prior.adhesion_mean) ** 2
+        if loss:
+            total += v[k, TANGENT]
+        for s in range(v.shape[1] - FIRST_DEPTH):
+            # every ratio of indentations alike
+            total -= math.log1p(math.exp(v[k, FIRST_DEPTH + s]))
+    return total
+
+
+@inner
+def inside(scene: Scene, prior: Prior, sticky: bool, loss: bool, x: _Floats, v: _Floats) -> bool:
+    """Tell whether all unknowns are within the bounds of their priors."""
+    fine = True
+    for k in range(x.shape[0]):
+        fine &= prior.log_low < x[k] < prior.log_high
+        if sticky:
+            F = math.exp(v[k, ADHESION]) * scene.unit
+            fine &= prior.adhesion_low <= F <= prior.adhesion_high
+        if loss:
+            fine &= math.exp(v[k, TANGENT]) <= prior.tangent_high
+        for s in range(v.shape[1] - FIRST_DEPTH):
+            fine &= SHALLOWEST < v[k, FIRST_DEPTH + s] < DEEPEST
+    return fine
+
+
+@inner
+def add_priors(
+    scene: Scene, prior: Prior, sticky: bool, loss: bool, x: _Floats, v: _Floats, g: _Floats, P: _Floats
+) -> None:
+    """Add the slope of ln of the priors to g, and fill P with what they add to the diagonal of the metric.
+
+    Unknowns in the order v of all materials, then their ln E. P holds no step longer than the priors are wide.
+    """
+    materials, each = v.shape
+    for k in range(materials):
+        at = k * each
+        if sticky:
+            F = math.exp(v[k, ADHESION]) * scene.unit
+            g[at + ADHESION] += 1.0 - prior.adhesion_precision * (F - prior.adhesion_mean) * F
+            P[at + ADHESION] = _OPEN + prior.adhesion_precision * F * F
+        else:
+            g[at + ADHESION], P[at + ADHESION] = 0.0, 1.0
+        if loss:
+            g[at + TANGENT] += 1.0
+            P[at + TANGENT] = _OPEN
+        else:
+            g[at + TANGENT], P[at + TANGENT] = 0.0, 1.0
+        for s in range(each - FIRST_DEPTH):
+            Delta = 1.0 / (1.0 + math.exp(-v[k, FIRST_DEPTH + s]))
+            g[at + FIRST_DEPTH + s] -= Delta
+            P[at + FIRST_DEPTH + s] = Delta * (1.0 - Delta)
+        g[materials * each + k] -= prior.precision * (x[k] - prior.centre)
+        P[materials * each + k] = prior.precision + 12.0 / (prior.log_high - prior.log_low) ** 2
 
 
 @inner
@@ -303,22 +359,11 @@ def settle_materials(
                 for a in range(b + 1):
                     if desk.J[i, a] != 0.0:
                         desk.H[a, b] += desk.J[i, a] * along
-        for k in range(materials):
-            at = k * each
-            F = v[k, ADHESION] * scene.unit
-            weight = prior.adhesion_precision * scene.unit
-            desk.g[at + ADHESION] -= weight * (F - prior.adhesion_mean)
-            desk.H[at + ADHESION, at + ADHESION] += weight * scene.unit
-            if not sticky:
-                desk.H[at + ADHESION, at + ADHESION] += 1.0
-                desk.g[at + ADHESION] = 0.0
-            if not loss:
-                desk.H[at + TANGENT, at + TANGENT] += 1.0
-                desk.g[at + TANGENT] = 0.0
-            for s in range(scans):
-                Delta = 1.0 / (1.0 + math.exp(-v[k, FIRST_DEPTH + s]))
-                desk.g[at + FIRST_DEPTH + s] -= Delta
-                desk.H[at + FIRST_DEPTH + s, at + FIRST_DEPTH + s] += Delta * (1.0 - Delta)
+        desk.g_all[:m] = desk.g
+        add_priors(scene, prior, sticky, loss, x, v, desk.g_all, desk.P)
+        desk.g[:] = desk.g_all[:m]
+        for a in range(m):
+            desk.H[a, a] += desk.P[a]
         for a in range(m):
             for b in range(a):
                 desk.H[a, b] = desk.H[b, a]
@@ -343,6 +388,10 @@ def settle_materials(
                 far = abs(desk.g[k * each + FIRST_DEPTH + s])
                 if far * share > _LONGEST:
                     share = _LONGEST / far
+            for a in range(FIRST_DEPTH):
+                far = abs(desk.g[k * each + a])
+                if far * share > _LONGEST_LOG:
+                    share = _LONGEST_LOG / far
         if not math.isfinite(length):
             return -math.inf
         # where steps stop to shrink Newton's method swings about a bend
@@ -360,39 +409,10 @@ def settle_materials(
     if before > 1.0:
         return -math.inf
     all_rows(scene, x, v, desk)
-    value = 0.0
-    for i in range(size):
-        row = 0.0
-        for j in range(size):
-            row += scene.precision[i, j] * (desk.f[j] - scene.centre[j])
-        value -= 0.5 * (desk.f[i] - scene.centre[i]) * row
-    for k in range(materials):
-        F = v[k, ADHESION] * scene.unit
-        value -= 0.5 * prior.adhesion_precision * (F - prior.adhesion_mean) ** 2
-        value -= 0.5 * prior.precision * (x[k] - prior.centre) ** 2
-        for s in range(scans):
-            value -= math.log1p(math.exp(v[k, FIRST_DEPTH + s]))
+    value = log_prior(scene, prior, sticky, loss, x, v) - misfit(scene, desk.f)
     for a in range(m):
         value -= math.log(desk.H[a, a])
     return value
-
-
-@inner
-def _cost(scene: Scene, prior: Prior, x: _Floats, v: _Floats, f: _Floats) -> float:
-    """Return minus ln of the posterior density, bounds left aside."""
-    size = f.shape[0]
-    total = 0.0
-    for i in range(size):
-        row = 0.0
-        for j in range(size):
-            row += scene.precision[i, j] * (f[j] - scene.centre[j])
-        total += 0.5 * (f[i] - scene.centre[i]) * row
-    for k in range(x.shape[0]):
-        total += 0.5 * prior.precision * (x[k] - prior.centre) ** 2
-        total += 0.5 * prior.adhesion_precision * (v[k, ADHESION] * scene.unit - prior.adhesion_mean) ** 2
-        for s in range(v.shape[1] - FIRST_DEPTH):
-            total += math.log1p(math.exp(v[k, FIRST_DEPTH + s]))
-    return total
 
 
 @kernel
@@ -408,11 +428,12 @@ def climb(
     materials, each = v.shape
     m, size = materials * each, desk.f.shape[0]
     all_of = m + materials
-    J, H, g = np.zeros((size, all_of)), np.zeros((all_of, all_of)), np.zeros(all_of)
+    J, H = np.zeros((size, all_of)), np.zeros((all_of, all_of))
+    g, P = np.zeros(all_of), np.zeros(all_of)
     x_new, v_new = x.copy(), v.copy()
     for _ in range(4):
         all_rows(scene, x, v, desk)
-    cost, damping = _cost(scene, prior, x, v, desk.f), 1e-3
+    cost, damping = misfit(scene, desk.f) - log_prior(scene, prior, sticky, loss, x, v), 1e-3
     for _ in range(_CLIMB):
         for k in range(materials):
             correct_slopes(scene, k, x[k], v[k], desk)
@@ -420,23 +441,9 @@ def climb(
         J[:, :m], J[:, m:] = desk.J, desk.J_x
         H[:] = J.T @ scene.precision @ J
         g[:] = J.T @ (scene.precision @ (scene.centre - desk.f))
-        for k in range(materials):
-            at = k * each
-            weight = prior.adhesion_precision * scene.unit
-            g[at + ADHESION] -= weight * (v[k, ADHESION] * scene.unit - prior.adhesion_mean)
-            H[at + ADHESION, at + ADHESION] += weight * scene.unit
-            g[m + k] -= prior.precision * (x[k] - prior.centre)
-            H[m + k, m + k] += prior.precision + 1e-3
-            if not sticky:
-                H[at + ADHESION, at + ADHESION] += 1.0
-                g[at + ADHESION] = 0.0
-            if not loss:
-                H[at + TANGENT, at + TANGENT] += 1.0
-                g[at + TANGENT] = 0.0
-            for s in range(each - FIRST_DEPTH):
-                Delta = 1.0 / (1.0 + math.exp(-v[k, FIRST_DEPTH + s]))
-                g[at + FIRST_DEPTH + s] -= Delta
-                H[at + FIRST_DEPTH + s, at + FIRST_DEPTH + s] += Delta * (1.0 - Delta)
+        add_priors(scene, prior, sticky, loss, x, v, g, P)
+        for a in range(all_of):
+            H[a, a] += P[a]
         if not math.isfinite(H.sum() + g.sum()):
             return -math.inf
         scale = np.sqrt(np.diag(H))
@@ -448,7 +455,9 @@ def climb(
             step = np.linalg.solve(A, g / scale) / scale
             share = 1.0
             for k in range(materials):
-                share = min(share, 1.0 / max(abs(step[m + k]), 1.0))
+                share = min(share, _LONGEST_LOG / max(abs(step[m + k]), _LONGEST_LOG))
+                for a in range(FIRST_DEPTH):
+                    share = min(share, _LONGEST_LOG / max(abs(step[k * each + a]), _LONGEST_LOG))
                 for s in range(each - FIRST_DEPTH):
                     share = min(share, _LONGEST / max(abs(step[k * each + FIRST_DEPTH + s]), _LONGEST))
             for k in range(materials):
@@ -460,7 +469,7 @@ def climb(
                     v_new[k, FIRST_DEPTH + s] = min(max(t, SHALLOWEST + 0.1), DEEPEST - 0.1)
             for _ in range(2):
                 all_rows(scene, x_new, v_new, desk)
-            there = _cost(scene, prior, x_new, v_new, desk.f)
+            there = misfit(scene, desk.f) - log_prior(scene, prior, sticky, loss, x_new, v_new)
             if there < cost:
                 done = cost - there < 1e-4 and share == 1.0
                 x[:], v[:] = x_new, v_new
@@ -506,7 +515,7 @@ def starts_of_material(
     contact = scene.columns.contact
     x0, v0 = np.zeros(1), np.zeros((1, FIRST_DEPTH + 1))
     for i in range(places.shape[0]):
-        v0[:] = 0.0
+        v0[0, ADHESION], v0[0, TANGENT] = _LEAST, _LEAST
         v0[0, FIRST_DEPTH] = places[i]
         x0[0] = 18.0
         S0 = stiffness(contact, math.exp(x0[0]))[0]
@@ -517,11 +526,10 @@ def starts_of_material(
             S = stiffness(contact, math.exp(x0[0]))[0]
             # f = S a + F b + S tan v + what the harmonics of the motion add
             for r in range(rows):
-                of_loss = desk.J[r, TANGENT] / S
-                c[r, 1] = desk.J[r, ADHESION]
-                c[r, 2] = of_loss
-                bare = v0[0, ADHESION] * c[r, 1] + S * v0[0, TANGENT] * of_loss
-                c[r, 0] = (desk.f[r] - bare) / S
+                phi, tangent = math.exp(v0[0, ADHESION]), math.exp(v0[0, TANGENT])
+                c[r, 1] = desk.J[r, ADHESION] / phi
+                c[r, 2] = desk.J[r, TANGENT] / (S * tangent)
+                c[r, 0] = (desk.f[r] - desk.J[r, ADHESION] - desk.J[r, TANGENT]) / S
             for a in range(3):
                 h[a] = 0.0
                 for b in range(3):
@@ -552,7 +560,8 @@ def starts_of_material(
             if not compliance > 0.0:
                 break
             x0[0] = math.log(contact.sample_factor / compliance)
-            v0[0, ADHESION], v0[0, TANGENT] = max(solution[1], 0.0), max(solution[2] / solution[0], 0.0)
+            v0[0, ADHESION] = math.log(max(solution[1], math.exp(_LEAST)))
+            v0[0, TANGENT] = math.log(max(solution[2] / solution[0], math.exp(_LEAST)))
         else:
             S0 = 0.0
         if S0 != 0.0:

@@ -8,8 +8,6 @@ curvature times the variance of the properties. Small as this is, what is ill-co
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import numpy.typing as npt
 
@@ -144,8 +142,8 @@ def curvature(
                 step = _STEP if side == 0 else -_STEP
                 at[:] = v
                 x_there = x + step if i == 0 else x
-                at[ADHESION] *= math.exp(step) if i == 1 else 1.0
-                at[TANGENT] *= math.exp(step) if i == 2 else 1.0
+                at[ADHESION] += step if i == 1 else 0.0
+                at[TANGENT] += step if i == 2 else 0.0
                 if free[i]:
                     _held(scene, k, s, x_there, at, first[s], still[s], goal, desk, there[2 * i + side])
                 t[2 * i + side] = at[FIRST_DEPTH + s]
@@ -163,8 +161,8 @@ def curvature(
                 at[:] = v
                 at[FIRST_DEPTH + s] = t[2 * i] + t[2 * j] - v[FIRST_DEPTH + s]
                 x_there = x + _STEP if j == 0 else x
-                at[ADHESION] *= math.exp(_STEP) if 1 in (i, j) else 1.0
-                at[TANGENT] *= math.exp(_STEP) if i == 2 else 1.0
+                at[ADHESION] += _STEP if 1 in (i, j) else 0.0
+                at[TANGENT] += _STEP if i == 2 else 0.0
                 _held(scene, k, s, x_there, at, first[s], still[s], goal, desk, pair)
                 for r in range(rows):
                     H[block + r, i, j] = (pair[r] - there[2 * i, r] - there[2 * j, r] + here[r]) / _STEP**2

@@ -15,7 +15,7 @@ from overtone.inversion.forces import Rows
 from overtone.inversion.motion import Followed
 from overtone.inversion.posterior import Prior
 from overtone.population.evidence import Evidence, Known, inverse, z_given
-from overtone.population.forward import ADHESION, FIRST_DEPTH, TANGENT, Scene, climb, starts_of_material
+from overtone.population.forward import FIRST_DEPTH, TANGENT, Scene, climb, starts_of_material
 from overtone.population.sampler import MOST_NODES, profile, walk
 
 _Floats = npt.NDArray[np.float64]
@@ -24,7 +24,6 @@ CHAINS = 2
 _ADAPTING, _ROUNDS = 60, 6  # steps of a round in which the walk learns its stride
 _LEG, _MOST_LEGS = 400, 9  # steps of a leg of a chain, and legs at most
 _STRIDE, _AIM = 0.7, 0.55  # the first stride, and the share of the steps that should be accepted
-_LEAST_OF_ALL = 1e-3  # unknowns that cannot be negative begin above it
 _ATTEMPTS = 3  # starts of a climb
 _KEPT = 128  # draws of each chain that are kept
 _PLACES = np.linspace(-8.0, 3.0, 56)  # of t, where a material may begin
@@ -231,8 +230,7 @@ def draw_materials(
             height = climb(*common, x_start, v_start, np.empty((materials, materials)))
             if height > best + 0.1 or attempt == 0:
                 best, x0, v0 = height, x_start, v_start
-        v0[:, ADHESION] = np.clip(v0[:, ADHESION], _LEAST_OF_ALL * question.sticky, None)
-        v0[:, TANGENT] = np.clip(v0[:, TANGENT], _LEAST_OF_ALL * question.loss, None)
+        v0[:, TANGENT] = np.minimum(v0[:, TANGENT], math.log(0.99 * question.prior.tangent_high))
         chain = _Chain(x0, v0, _STRIDE, [])
         for _ in range(_ROUNDS):
             share = go_on(index, chain, _ADAPTING)[3]

@@ -279,7 +279,7 @@ def _record(
     masks = [label == k for k in range(int(label.max()) + 1)]
     parts = [coherence_of(z, _apart(mask, (label >= 0) & ~mask)) for mask in masks]
     graded = np.array([p.share > _GRADED and p.trend > _EVEN for p in parts], bool)
-    merged = np.array([p.share > _SMOOTH and p.gain > _GAIN for p in parts], bool)
+    merged = graded | np.array([p.share > _SMOOTH and p.gain > _GAIN for p in parts], bool)
     domains = [np.bincount(connected(mask, np.ones((3, 3)))[0].ravel())[1:] for mask in masks]
     named = [
         (merged & ~graded, "{} merged, not resolved: coherent parts that no valley or no edge separates"),

@@ -16,18 +16,17 @@ import numpy as np
 import numpy.typing as npt
 
 from overtone.inversion.posterior import Prior
-from overtone.inversion.table import DEEPEST, SHALLOWEST
 from overtone.kernels import inner, kernel
 from overtone.population.forward import (
-    ADHESION,
-    FIRST_DEPTH,
-    TANGENT,
     Desk,
     Scene,
+    add_priors,
     all_rows,
     cholesky,
     correct_slopes,
-    log_density,
+    inside,
+    log_prior,
+    misfit,
     new_desk,
     settle_materials,
 )
@@ -160,21 +159,6 @@ def _spread_out(u: _Floats, x: _Floats, v: _Floats) -> None:
 
 
 @inner
-def _metric(scene: Scene, prior: Prior, sticky: bool, loss: bool, u: _Floats, P: _Floats) -> None:
-    """Fill what the priors add to the diagonal of the metric; whatever they are, no step is longer than they."""
-    materials, scans = scene.amplitude.shape
-    each = FIRST_DEPTH + scans
-    for k in range(materials):
-        P[k * each + ADHESION] = prior.adhesion_precision * scene.unit**2 if sticky else 1.0
-        P[k * each + ADHESION] += 12.0 * (scene.unit / (prior.adhesion_high - prior.adhesion_low)) ** 2
-        P[k * each + TANGENT] = 12.0 / prior.tangent_high**2 if loss else 1.0
-        for s in range(scans):
-            Delta = 1.0 / (1.0 + math.exp(-u[k * each + FIRST_DEPTH + s]))
-            P[k * each + FIRST_DEPTH + s] = Delta * (1.0 - Delta)
-        P[materials * each + k] = prior.precision + 12.0 / (prior.log_high - prior.log_low) ** 2
-
-
-@inner
 def _look(
     scene: Scene,
     prior: Prior,
@@ -197,19 +181,14 @@ def _look(
     state.motions[:] = desk.motions
     state.f[:] = desk.f
     state.J[:, :m], state.J[:, m:] = desk.J, desk.J_x
-    value = log_density(scene, prior, x, v, desk.f)
+    if not inside(scene, prior, sticky, loss, x, v):
+        return -math.inf
+    value = log_prior(scene, prior, sticky, loss, x, v) - misfit(scene, desk.f)
     if not math.isfinite(value):
         return -math.inf
-    _metric(scene, prior, sticky, loss, state.u, P)
     state.L[:] = state.J.T @ (scene.precision @ state.J)
     state.g[:] = state.J.T @ (scene.precision @ (scene.centre - state.f))
-    for k in range(materials):
-        at = k * each
-        F = v[k, ADHESION] * scene.unit
-        state.g[at + ADHESION] -= prior.adhesion_precision * scene.unit * (F - prior.adhesion_mean)
-        state.g[m + k] -= prior.precision * (x[k] - prior.centre)
-        for s in range(each - FIRST_DEPTH):
-            state.g[at + FIRST_DEPTH + s] -= 1.0 / (1.0 + math.exp(-v[k, FIRST_DEPTH + s]))
+    add_priors(scene, prior, sticky, loss, x, v, state.g, P)
     for a in range(P.shape[0]):
         state.L[a, a] += P[a]
     if not cholesky(state.L):
@@ -344,17 +323,13 @@ def walk(
         there.motions[:] = here.motions
         found = False
         for _ in range(_RETRACT):
-            inside = True
+            finite = True
             for a in range(n):
-                inside &= math.isfinite(there.u[a])
-            if not inside:
+                finite &= math.isfinite(there.u[a])
+            if not finite:
                 break
             _spread_out(there.u, x_now, v_now)
-            for k in range(materials):
-                inside &= prior.log_low < x_now[k] < prior.log_high
-                for s in range(each - FIRST_DEPTH):
-                    inside &= SHALLOWEST < v_now[k, FIRST_DEPTH + s] < DEEPEST
-            if not inside:
+            if not inside(scene, prior, sticky, loss, x_now, v_now):
                 break
             desk.motions[:] = there.motions
             all_rows(scene, x_now, v_now, desk)

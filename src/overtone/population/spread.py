@@ -64,7 +64,7 @@ def spread_of(
 
     def cost(log_s: _Floats) -> float:
         V = N + (J * np.exp(2.0 * log_s)) @ J.T
-        sign, log_det = np.linalg.slogdet(V)
+        _, log_det = np.linalg.slogdet(V)
         return float(
             0.5 * n * (log_det + np.trace(np.linalg.solve(V, R)))
             + 0.5 * (((log_s - centre) / width) ** 2).sum()

@@ -187,14 +187,12 @@ def draws_of(question: Question, material: Material, exponent: float) -> dict[st
     found = {"modulus": x + of_radius}
     amplitude = joint.tiles[k].amplitude[0]
     found["indentation"] = math.log(2.0 * amplitude) - np.log1p(np.exp(-t))
-    with np.errstate(divide="ignore"):
-        if question.sticky:
-            found["adhesion"] = np.log(np.maximum(v[:, ADHESION] * joint.evidence.unit, 1e-300))
-        if question.loss:
-            S = np.array([stiffness(question.columns.contact, math.exp(value))[0] for value in x])
-            tangent = np.maximum(v[:, TANGENT], 1e-300)
-            found["loss_tangent"] = np.log(tangent)
-            found["viscosity"] = np.log(S * tangent / question.columns.loss) + of_radius
+    if question.sticky:
+        found["adhesion"] = v[:, ADHESION] + math.log(joint.evidence.unit)
+    if question.loss:
+        S = np.array([stiffness(question.columns.contact, math.exp(value))[0] for value in x])
+        found["loss_tangent"] = v[:, TANGENT]
+        found["viscosity"] = np.log(S / question.columns.loss) + v[:, TANGENT] + of_radius
     return found
 
 
