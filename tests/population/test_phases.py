@@ -11,7 +11,7 @@ from scipy.stats import norm
 from overtone.errors import InversionError
 from overtone.population.assign import assign, cloud_of
 from overtone.population.coherence import coherence_of
-from overtone.population.divide import averaged, coherent_directions, halve, pixel_covariance
+from overtone.population.divide import averaged, by_edge, coherent_directions, halve, pixel_covariance
 from overtone.population.mixture import clouds_along, density_along
 from overtone.population.modes import divisions, modes_of, valleys
 from overtone.population.phases import NONE, find_phases, labels_as_phases
@@ -242,6 +242,30 @@ def test_a_change_of_the_tip_is_no_phase() -> None:
     turned = find_phases(features.transpose(1, 0, 2), np.eye(6))
     assert turned.count == 2
     assert "change of the tip" not in turned.note
+
+
+def test_gradient_that_looks_like_one_cloud_is_merged_all_the_same() -> None:
+    generator = np.random.default_rng(31)
+    features = generator.standard_normal((128, 128, 3))
+    side = np.linspace(-1.0, 1.0, 128)
+    features[..., 0] += 1.2 * (
+        side[:, None] + side
+    )  # the sum of two even distributions is nearly a normal one
+    phases = find_phases(features, np.eye(3))
+    assert phases.count == 1
+    assert phases.merged[0]
+    assert "evenly" in phases.note
+
+
+def test_outliers_beside_two_phases_belong_to_none() -> None:
+    generator = np.random.default_rng(32)
+    features, truth = step_scan(96, 0.3, 5.0, 24, generator)
+    odd = generator.random((96, 96)) < 0.005
+    features[odd] += 30.0
+    phases = find_phases(features, np.eye(6))
+    assert phases.count == 2
+    assert (phases.label[odd] == NONE).all()
+    assert wrong(phases, truth)[1] < 0.05
 
 
 # pixels without features, small scans, given numbers and labels
@@ -507,6 +531,53 @@ def test_neighbours_decide_where_a_pixel_does_not() -> None:
     assert (found[found >= 0] != truth[found >= 0]).mean() < 0.01
     assert (found >= 0).mean() > 0.93
     assert probability[found >= 0].min() >= 0.9
+
+
+def flat(truth, values, generator):
+    """One feature: the value of each phase, and noise of variance 1."""
+    return np.array(values)[truth][..., None] + generator.standard_normal((*truth.shape, 1))
+
+
+def test_a_border_that_lies_within_a_wide_cloud_belongs_to_none() -> None:
+    generator = np.random.default_rng(33)
+    truth = np.zeros((80, 80), int)
+    truth[:, 40:] = 1
+    z = flat(truth, (0.0, 30.0), generator)
+    z[:, 40:] += 6.0 * generator.standard_normal((80, 40, 1))
+    z[:, 40:42] = 17.0  # half way, and two deviations of the wide cloud off its middle
+    z[:, 60:62] = 17.0
+    cores = [truth == 0, (truth == 1) & (np.arange(80) > 44)]
+    label, _ = assign(z, np.ones((80, 80), bool), cores, [cloud_of(z[core]) for core in cores])
+    assert (label[:, 40:42] == NONE).mean() > 0.99
+    assert (label[:, 60:62] == 1).mean() > 0.99
+
+
+def test_a_thin_band_between_two_phases_is_no_third() -> None:
+    generator = np.random.default_rng(34)
+    truth = np.zeros((80, 80), int)
+    truth[:, 40:] = 1
+    truth[:, 39:42] = 2
+    truth[20:32, 10:22] = 2
+    z = flat(truth, (0.0, 40.0, 15.0), generator)
+    cores = [(truth == 0), (truth == 1), (truth == 2) & (np.arange(80) < 30)]
+    label, _ = assign(z, np.ones((80, 80), bool), cores, [cloud_of(z[core]) for core in cores])
+    assert (label[:, 39:42] == NONE).mean() > 0.99
+    assert (label[21:31, 11:21] == 2).mean() > 0.95
+
+
+def test_an_edge_that_only_the_averages_have_is_none() -> None:
+    generator = np.random.default_rng(35)
+    every = np.ones((128, 128), bool)
+    y = generator.standard_normal((128, 128))
+    u = averaged(y[..., None], every, 5)[0][..., 0]
+    assert by_edge(y, every, u > 0.0, 0.0, 5, 30) is None
+    real = y.copy()
+    real[:, 70:] += 3.0
+    u = averaged(real[..., None], every, 5)[0][..., 0]
+    division = by_edge(real, every, u > 1.5, 0.0, 5, 30)
+    assert division is not None
+    assert division.side[:, 70:].mean() > 0.99
+    assert division.other[:, :70].mean() > 0.99
 
 
 def test_halves_of_a_gradient_lie_at_its_ends() -> None:

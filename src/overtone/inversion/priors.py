@@ -20,6 +20,9 @@ LOG_RANGE, RANGE, LOG_NORMAL, NORMAL = "log-range", "range", "log-normal", "norm
 CONTACT = 0.5
 """Probability of contact before a pixel is measured; the other half is a tip that never touches."""
 
+LEAST_WORK, MOST_WORK = 1e-3, 1.0
+"""Range of the default prior of the adhesion that the pixels of a phase share [J/m^2], every ratio alike."""
+
 WORK_OF_ADHESION = 0.3
 """Scale of the default prior of adhesion [J/m^2]: F_ad = 2 pi R w, as likely smaller; capillary necks included."""
 
@@ -123,6 +126,31 @@ def complete_priors(
     return priors
 
 
+def shared_priors(
+    stated: Mapping[str, Prior] | None, priors: Mapping[str, Prior], radius: float | None
+) -> dict[str, Prior]:
+    """Return the priors of materials that pixels share: every ratio of adhesions alike unless something is stated.
+
+    A pixel by itself is integrated over its adhesion in closed form, which asks for a normal prior. That gives most of
+    its weight to forces near its scale; where a shared calibration links materials, a weak adhesion of one would then
+    pull all of them.
+
+    Parameters
+    ----------
+    stated : mapping of str to Prior, optional
+        By the user.
+    priors : mapping of str to Prior
+        From `complete_priors`.
+    radius : float, optional
+        Of the tip [m].
+    """
+    shared = dict(priors)
+    if "adhesion" in shared and "adhesion" not in (stated or {}) and radius is not None:
+        around = 2.0 * math.pi * radius
+        shared["adhesion"] = Prior(LOG_RANGE, around * LEAST_WORK, around * MOST_WORK)
+    return shared
+
+
 def interval_width(prior: Prior) -> float:
     """Return the width of the 90 % interval of a prior: of the logarithm, where it is one of ratios."""
     if prior.kind == LOG_RANGE:
@@ -152,7 +180,7 @@ def for_kernel(priors: Mapping[str, Prior], first: str) -> KernelPrior:
         centre, precision = math.log(elastic.first), spread**-2
         low, high = centre - _FARTHEST * spread, centre + _FARTHEST * spread
     adhesion = priors.get("adhesion", DEFAULTS["adhesion"])
-    if adhesion.kind == RANGE:
+    if adhesion.kind in (RANGE, LOG_RANGE):
         F_low, F_high, mean, F_precision = adhesion.first, adhesion.second, 0.0, 0.0
     else:
         mean, F_precision = adhesion.first, adhesion.second**-2

@@ -18,7 +18,7 @@ from overtone.instrument.noise import complete_noise
 from overtone.inversion.columns import columns_of, is_linear, unknowns_of
 from overtone.inversion.marginal import Candidate, map_posteriors
 from overtone.inversion.pixels import Setting, radius_exponent
-from overtone.inversion.priors import Prior, complete_priors, format_priors
+from overtone.inversion.priors import Prior, complete_priors, format_priors, shared_priors
 from overtone.inversion.published import HARMONIC_SETS, POOR_RESIDUAL, map_least_squares
 from overtone.inversion.result import (
     AT_BOUND,
@@ -193,6 +193,14 @@ def map_properties(
     if method == POPULATION:
         from overtone.population.population import split_scans
 
+        if unknowns_of(records[0])[0].name != "modulus":
+            raise InversionError(
+                f"model {model!r} has no modulus that pixels could share",
+                expected=", ".join(
+                    m.key for m in BUILT_IN if is_linear(m) and unknowns_of(m)[0].name == "modulus"
+                ),
+                hint='method="posterior"',
+            )
         scans = split_scans(observables)
     settings = [Setting.of(scan, probe, cons, diss, sigma) for scan in scans]
     setting = settings[0]
@@ -227,7 +235,7 @@ def map_properties(
                 scans,
                 records[0],
                 columns[0],
-                candidates[0].priors,
+                shared_priors(priors, candidates[0].priors, probe.tip.radius),
                 probe,
                 candidates[0].exponent,
                 Request(phases, reference, reference_pixels, seed),
@@ -254,6 +262,8 @@ def map_properties(
     result = sheet.dataset(attributes)
     if materials is not None:
         result = result.assign(materials.arrays).assign_attrs(materials.attributes)
+        of_all = shared_priors(priors, candidates[0].priors, probe.tip.radius)
+        stated |= {"shared_priors": format_priors(of_all)}
         stated |= {"phases": "given" if isinstance(phases, xr.DataArray) else phases, "seed": seed}
     return provenance.record(
         result,

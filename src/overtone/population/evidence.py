@@ -23,6 +23,7 @@ _Indices = npt.NDArray[np.intp]
 
 TILES = 12
 """Tiles along each side of a scan."""
+_UNSEEN = 1e-6  # share of the noise
 _COMPUTED = 1e-4  # relative accuracy of a computed harmonic
 _FEWEST = 4  # pixels of a phase in a tile that count
 _PRIOR_TILES = 4.0  # tiles that the scatter between tiles is worth before it is seen
@@ -124,8 +125,8 @@ def tiles_of(settings: Sequence[Setting], data: Harvest, members: _Indices, tile
     rest = y - means[inverse]
     freedom = max(len(members) - numbers.size, 1)
     within = rest.T @ rest / freedom
-    if len(members) - numbers.size < size:
-        within = within + data.noise
+    # scatter far below the noise is none that is seen, and without any there is no inverse
+    within = within + (1.0 if len(members) - numbers.size < size else _UNSEEN) * data.noise
     kept = count >= min(_FEWEST, count.max())
     n = count[kept].astype(float)
     chosen = means[kept]
@@ -141,7 +142,8 @@ def tiles_of(settings: Sequence[Setting], data: Harvest, members: _Indices, tile
             changes.append(np.zeros((int(kept.sum()), rows, 0)))
             continue
         shared = _averaged(setting.shared, members, inverse, count, kept)
-        place = np.stack([shared.where.height, shared.where.x, shared.where.y], axis=1)
+        if setting is settings[0]:
+            place = np.stack([shared.where.height, shared.where.x, shared.where.y], axis=1)
         h = setting.harmonics(slice(0, 1))
         turn = np.full(place.shape[0], h.turn[0] if np.isfinite(h.turn[0]) else 1.0 + 0j)
         c, radius = setting.changes(shared, slice(None), turn)

@@ -25,8 +25,8 @@ _Floats = npt.NDArray[np.float64]
 _Complex = npt.NDArray[np.complex128]
 
 ADHESION, TANGENT, FIRST_DEPTH = 0, 1, 2
-"""Unknowns of a material at a given modulus: ln of the force of adhesion over the unit, ln of the loss tangent, then t of
-each scan. What a model lacks stays as it is."""
+"""Unknowns of a material at a given modulus: ln of the force of adhesion over the unit, ln of the loss tangent, then t
+of each scan. What a model lacks stays as it is."""
 
 BY_MODULUS = 3
 """Where the derivative by ln E stands among those of a row."""
@@ -37,6 +37,7 @@ _OPEN = 0.2
 """Curvature of ln of what may vanish, at least: no step is longer than a factor of e or two."""
 _STEPS = 25
 _CLIMB = 60
+_BESIDE = 1e-3  # of a bound
 _LEAST = -6.0  # ln of an unknown with which a search begins
 _LONGEST, _LONGEST_LOG = 0.5, 1.0  # step of t, and of a logarithm
 _SETTLED = 1e-3  # of the squared length of a step, in standard deviations
@@ -63,6 +64,8 @@ class Scene(NamedTuple):
     """(datum, datum): of all of them together, whatever they share integrated out."""
     references: npt.NDArray[np.int64]
     """(reference,): materials whose ln E is a datum."""
+    even: bool
+    """Whether every ratio of forces of adhesion is alike beforehand, or every difference."""
 
 
 @inner
@@ -246,7 +249,7 @@ def log_prior(scene: Scene, prior: Prior, sticky: bool, loss: bool, x: _Floats, 
     total = 0.0
     for k in range(x.shape[0]):
         total -= 0.5 * prior.precision * (x[k] - prior.centre) ** 2
-        if sticky:  # every F_ad alike, but for what is known of it
+        if sticky and not scene.even:
             F = math.exp(v[k, ADHESION]) * scene.unit
             total += v[k, ADHESION] - 0.5 * prior.adhesion_precision * (F - prior.adhesion_mean) ** 2
         if loss:
@@ -274,6 +277,26 @@ def inside(scene: Scene, prior: Prior, sticky: bool, loss: bool, x: _Floats, v: 
 
 
 @inner
+def bounds(scene: Scene, prior: Prior, sticky: bool, loss: bool, low: _Floats, high: _Floats) -> None:
+    """Fill where unknowns may lie, a little inside of the bounds of their priors; in the order of `add_priors`."""
+    materials, scans = scene.amplitude.shape
+    each = FIRST_DEPTH + scans
+    low[:], high[:] = -math.inf, math.inf
+    for k in range(materials):
+        at = k * each
+        if sticky:
+            if prior.adhesion_low > 0.0:
+                low[at + ADHESION] = math.log(prior.adhesion_low / scene.unit) + _BESIDE
+            high[at + ADHESION] = math.log(prior.adhesion_high / scene.unit) - _BESIDE
+        if loss:
+            high[at + TANGENT] = math.log(prior.tangent_high) - _BESIDE
+        for s in range(scans):
+            low[at + FIRST_DEPTH + s], high[at + FIRST_DEPTH + s] = SHALLOWEST + _BESIDE, DEEPEST - _BESIDE
+        low[materials * each + k] = prior.log_low + _BESIDE
+        high[materials * each + k] = prior.log_high - _BESIDE
+
+
+@inner
 def add_priors(
     scene: Scene, prior: Prior, sticky: bool, loss: bool, x: _Floats, v: _Floats, g: _Floats, P: _Floats
 ) -> None:
@@ -286,8 +309,10 @@ def add_priors(
         at = k * each
         if sticky:
             F = math.exp(v[k, ADHESION]) * scene.unit
-            g[at + ADHESION] += 1.0 - prior.adhesion_precision * (F - prior.adhesion_mean) * F
-            P[at + ADHESION] = _OPEN + prior.adhesion_precision * F * F
+            P[at + ADHESION] = _OPEN
+            if not scene.even:
+                g[at + ADHESION] += 1.0 - prior.adhesion_precision * (F - prior.adhesion_mean) * F
+                P[at + ADHESION] += prior.adhesion_precision * F * F
         else:
             g[at + ADHESION], P[at + ADHESION] = 0.0, 1.0
         if loss:
@@ -421,8 +446,8 @@ def climb(
 ) -> float:
     """Move all unknowns of all materials to where the posterior is largest; return ln of its density there.
 
-    Levenberg and Marquardt's method; bounds of adhesion and loss are left aside. ``covariance`` (material, material)
-    is filled with that of ln E about the summit.
+    Levenberg and Marquardt's method; an unknown that a bound holds back stays there while the others move on.
+    ``covariance`` (material, material) is filled with that of ln E about the summit.
     """
     desk = new_desk(scene)
     materials, each = v.shape
@@ -431,6 +456,12 @@ def climb(
     J, H = np.zeros((size, all_of)), np.zeros((all_of, all_of))
     g, P = np.zeros(all_of), np.zeros(all_of)
     x_new, v_new = x.copy(), v.copy()
+    low, high = np.zeros(all_of), np.zeros(all_of)
+    bounds(scene, prior, sticky, loss, low, high)
+    for k in range(materials):
+        x[k] = min(max(x[k], low[m + k]), high[m + k])
+        for a in range(each):
+            v[k, a] = min(max(v[k, a], low[k * each + a]), high[k * each + a])
     for _ in range(4):
         all_rows(scene, x, v, desk)
     cost, damping = misfit(scene, desk.f) - log_prior(scene, prior, sticky, loss, x, v), 1e-3
@@ -444,6 +475,10 @@ def climb(
         add_priors(scene, prior, sticky, loss, x, v, g, P)
         for a in range(all_of):
             H[a, a] += P[a]
+            at_bound = x[a - m] if a >= m else v[a // each, a % each]
+            if (at_bound <= low[a] and g[a] < 0.0) or (at_bound >= high[a] and g[a] > 0.0):
+                H[a, :], H[:, a] = 0.0, 0.0
+                H[a, a], g[a] = 1.0, 0.0
         if not math.isfinite(H.sum() + g.sum()):
             return -math.inf
         scale = np.sqrt(np.diag(H))
@@ -461,12 +496,10 @@ def climb(
                 for s in range(each - FIRST_DEPTH):
                     share = min(share, _LONGEST / max(abs(step[k * each + FIRST_DEPTH + s]), _LONGEST))
             for k in range(materials):
-                x_new[k] = min(max(x[k] + share * step[m + k], prior.log_low), prior.log_high)
+                x_new[k] = min(max(x[k] + share * step[m + k], low[m + k]), high[m + k])
                 for a in range(each):
-                    v_new[k, a] = v[k, a] + share * step[k * each + a]
-                for s in range(each - FIRST_DEPTH):
-                    t = v_new[k, FIRST_DEPTH + s]
-                    v_new[k, FIRST_DEPTH + s] = min(max(t, SHALLOWEST + 0.1), DEEPEST - 0.1)
+                    there_a = v[k, a] + share * step[k * each + a]
+                    v_new[k, a] = min(max(there_a, low[k * each + a]), high[k * each + a])
             for _ in range(2):
                 all_rows(scene, x_new, v_new, desk)
             there = misfit(scene, desk.f) - log_prior(scene, prior, sticky, loss, x_new, v_new)

@@ -15,7 +15,7 @@ from overtone.inversion.forces import Rows
 from overtone.inversion.motion import Followed
 from overtone.inversion.posterior import Prior
 from overtone.population.evidence import Evidence, Known, inverse, z_given
-from overtone.population.forward import FIRST_DEPTH, TANGENT, Scene, climb, starts_of_material
+from overtone.population.forward import FIRST_DEPTH, Scene, climb, starts_of_material
 from overtone.population.sampler import MOST_NODES, profile, walk
 
 _Floats = npt.NDArray[np.float64]
@@ -31,6 +31,7 @@ _VALLEYS = 4  # places from which a summit is looked for
 _WORSE = 60.0  # chi-squared above the least at which a second valley is still looked at
 _LOWER = 20.0  # ln of the density below the highest summit at which one does not count
 _WELL_MIXED = 1.05
+_STANDING = 0.02  # share of the steps accepted
 MIXED = 1.2
 """Ratio of spreads (between chains and within) beyond which the draws are not those of one distribution."""
 
@@ -48,13 +49,16 @@ class Question:
     followed : Followed
         The lever.
     prior : Prior
-        Of every material that is not a reference.
+        Of every material.
+    even : bool
+        Whether every ratio of forces of adhesion between its bounds is alike beforehand.
     """
 
     columns: Columns
     rows: Rows
     followed: Followed
     prior: Prior
+    even: bool = False
 
     @property
     def sticky(self) -> bool:
@@ -82,6 +86,7 @@ class Question:
             np.ascontiguousarray(centre),
             np.ascontiguousarray(precision),
             np.array(list(references), np.int64),
+            self.even,
         )
 
 
@@ -230,7 +235,6 @@ def draw_materials(
             height = climb(*common, x_start, v_start, np.empty((materials, materials)))
             if height > best + 0.1 or attempt == 0:
                 best, x0, v0 = height, x_start, v_start
-        v0[:, TANGENT] = np.minimum(v0[:, TANGENT], math.log(0.99 * question.prior.tangent_high))
         chain = _Chain(x0, v0, _STRIDE, [])
         for _ in range(_ROUNDS):
             share = go_on(index, chain, _ADAPTING)[3]
@@ -257,6 +261,9 @@ def draw_materials(
             within = x.var(axis=1).mean(axis=0)
             between = x.mean(axis=1).var(axis=0, ddof=1)
             mixing = np.sqrt(1.0 + between / np.maximum(within, 1e-300))
+            # a chain that stands still agrees with nothing
+            if min(leg[3] for legs in kept for leg in legs[-1:]) < _STANDING:
+                mixing = np.full(materials, math.inf)
             if (mixing < _WELL_MIXED).all():
                 break
     some = np.linspace(0, x.shape[1] - 1, _KEPT).astype(int)

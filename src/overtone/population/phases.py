@@ -30,12 +30,12 @@ _ASIDE = 4.0  # pixels
 _DEEPEST = 6  # divisions one within the other
 _SMOOTH = 0.25  # share of the variance
 _GAIN = 0.05  # in ln of density per pixel
-_GRADED, _EVEN = 0.3, 0.7  # share of the variance that is smooth, and of that which is one even surface
+_GRADED, _EVEN = 0.2, 0.7  # share of the variance that is smooth, and of that which is one even surface
 
 
 @dataclass(frozen=True)
 class Phases:
-    """The phases of a scan, the largest first.
+    """The phases of a scan: those that were found the largest first, those of labels in their order.
 
     Parameters
     ----------
@@ -50,8 +50,8 @@ class Phases:
     pixels, domains : array (phase,) of int
         Pixels, and connected domains of at least a few.
     merged : array (phase,) of bool
-        The phase is more than one cloud, and its parts are coherent regions, but no valley or no edge separates them:
-        merged, not resolved.
+        Merged, not resolved: the phase changes evenly across the scan, or is more than one cloud and its parts are
+        coherent regions, but no valley or no edge separates them.
     smooth_share : array (phase,)
         Share of the variance that is smooth, between tiles of 8 pixels, in the direction where it is largest.
     smooth_size : array (phase,)

@@ -23,7 +23,7 @@ from overtone.instrument.reference import reference_pixels
 from overtone.inversion.columns import Columns
 from overtone.inversion.motion import FEW, follow
 from overtone.inversion.pixels import Setting
-from overtone.inversion.priors import Prior, for_kernel
+from overtone.inversion.priors import LOG_RANGE, Prior, for_kernel
 from overtone.inversion.result import (
     DETERMINED,
     MISSING_DATA,
@@ -142,11 +142,14 @@ def pool_scan(
     data = harvest(settings)
     setting = settings[0]
     first = next(iter(priors))
+    kernel_prior = for_kernel(priors, first)
+    even = "adhesion" in priors and priors["adhesion"].kind == LOG_RANGE
     question = Question(
         columns,
         setting.rows,
         follow(probe, setting.known, FEW if full_motion else 0),
-        for_kernel(priors, first),
+        kernel_prior,
+        even,
     )
     names = quantities_of(question)
     for name in names:

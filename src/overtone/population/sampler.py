@@ -1,10 +1,10 @@
 """Draws from the posterior of all materials of a scan together.
 
-What a scan measures of its phases is sharp in most directions and open in a few, along which the unknowns bend: a step
-that is straight in them leaves the floor of that valley at once. So a step is straight in the force harmonics instead.
-It is drawn in the tangent plane of what the model can make of them, downhill as Langevin has it, with the local
-metric; the unknowns then follow by Newton's method to where the harmonics have gone as far within that plane. Metropolis
-and Hastings' rule, with the density of a step that this gives, makes the draws those of the posterior itself.
+What a scan measures of its phases is sharp in most directions and open in a few, along which the unknowns bend: a
+step that is straight in them leaves the floor of that valley at once. So a step is straight in the force harmonics
+instead. It is drawn in the tangent plane of what the model can make of them, uphill as Langevin has it, with the local
+metric; the unknowns then follow by Newton's method to where the harmonics have gone as far within that plane.
+Metropolis and Hastings' rule, with the density of a step that this gives, makes the draws those of the posterior.
 """
 
 from __future__ import annotations
@@ -299,7 +299,7 @@ def walk(
     value = _look(scene, prior, sticky, loss, here, desk, x_now, v_now, P)
     accepted = 0
     for i in range(x.shape[0]):
-        # downhill and at random, in the tangent plane
+        # uphill and at random, in the tangent plane
         _solve(here.L, here.g, step)
         for a in range(n - 1, -1, -1):
             total = normals[i, a]

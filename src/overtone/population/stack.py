@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+import numpy.typing as npt
 import xarray as xr
 
 from overtone import provenance
@@ -37,7 +38,7 @@ def stack_scans(scans: Sequence[xr.Dataset]) -> xr.Dataset:
     ObservablesError
         If there is no scan, or one of them is no map or not valid.
     InversionError
-        If pixels, coordinates, harmonics, probes or calibrations differ.
+        If pixels, coordinates, harmonics, probes or calibrations differ, or two scans are one.
 
     Notes
     -----
@@ -133,6 +134,20 @@ def _check_alike(first: xr.Dataset, scan: xr.Dataset, number: int) -> None:
             got=_difference(*probes),
             hint="scans of one session at one drive",
         )
+    if all(
+        np.array_equal(first[name].values, _like(scan[name], first), equal_nan=True)
+        for name in ("A1", "phi1")
+    ):
+        raise InversionError(
+            f"scan {number} has the very readings of the first",
+            expected="another scan of the area, with noise of its own",
+            got="the same A1 and phi1 at every pixel",
+            hint="the other file",
+        )
+
+
+def _like(array: xr.DataArray, first: xr.Dataset) -> npt.NDArray[np.float64]:
+    return np.asarray(array.transpose(*first["A1"].dims).values)
 
 
 def _check_places(first: xr.Dataset, scan: xr.Dataset, dim: str, number: int) -> None:

@@ -64,6 +64,11 @@ class Material:
         return _misfit(self.joint, self.place) if self.joint is not None else math.nan
 
     @property
+    def settled(self) -> bool:
+        """Whether its draws are those of one distribution."""
+        return self.joint is not None and bool(self.joint.draws.mixing[self.place] <= MIXED)
+
+    @property
     def freedom(self) -> int:
         """Harmonics beyond the unknowns."""
         if self.joint is None:
@@ -165,12 +170,8 @@ def materials_of(
         arrays[name] = _array(name, np.array(whole, dtype=np.int64 if "s" in name[-2:] else np.int8), names)
     arrays |= _checks(materials, rows, names)
     verdict, reason = verdict_of(materials, columns, names, anchored)
-    notes = [note]
-    restless = [
-        names[i]
-        for i, m in enumerate(materials)
-        if m.joint is not None and m.joint.draws.mixing[m.place] > MIXED
-    ]
+    notes = [note.rstrip(".")]
+    restless = [names[i] for i, m in enumerate(materials) if m.joint is not None and not m.settled]
     if restless:
         notes.append(f"the draws of {', '.join(restless)} have not settled: their intervals are rough")
     return Materials(arrays, {"verdict": verdict, "verdict_reason": reason, "phase_note": "; ".join(notes)})
@@ -360,39 +361,39 @@ def verdict_of(
     seen = [i for i, m in enumerate(materials) if m.joint is not None and m.resolved]
     if not seen:
         return CONTRAST, "no phase was resolved and inverted: maps show each pixel by itself"
-    others = [i for i in seen if not materials[i].reference] or seen
-    total = {
-        i: math.hypot(
-            float(columns["material_modulus_statistical"][i]),
-            float(columns["material_modulus_systematic"][i]),
+    restless = [names[i] for i in seen if not materials[i].settled]
+    if restless:
+        return (
+            CONTRAST,
+            f"the draws of {', '.join(restless)} have not settled: no interval of theirs can be trusted",
         )
-        for i in others
-    }
-    worst = max(total, key=lambda i: total[i])
     misfits = [names[i] for i in seen if materials[i].misfit_probability < _UNLIKELY]
-    doubt = f"; the model does not fit {', '.join(misfits)}" if misfits else ""
-    size = f"{names[worst]} has ln E +- {total[worst]:.2g}"
+    if misfits:
+        return CONTRAST, f"the model does not fit {', '.join(misfits)}"
+    others = [i for i in seen if not materials[i].reference]
     if any(materials[i].reference for i in seen):
-        ratios = {
-            i: float(
-                np.log(
-                    columns["material_modulus_ratio_upper"][i] / columns["material_modulus_ratio_lower"][i]
-                )
-            )
-            / _NINETY
-            for i in others
-        }
+        if not others:
+            return CONTRAST, "nothing but the reference was resolved and inverted"
+        ratios = {i: _width(columns, "material_modulus_ratio", i) for i in others}
         far = max(ratios, key=lambda i: ratios[i])
         how = "anchored to" if anchored else "inferred together with"
         if ratios[far] <= GATE:
             return (
                 RELATIVE,
-                f"{how} a reference: ratios of moduli are known to {ratios[far]:.2g} in ln E or better{doubt}",
+                f"{how} a reference: ratios of moduli are known to {ratios[far]:.2g} in ln E or better",
             )
         return (
             CONTRAST,
-            f"{how} a reference, and still the ratio of {names[far]} is open to {ratios[far]:.2g} in ln E{doubt}",
+            f"{how} a reference, and still the ratio of {names[far]} is open to {ratios[far]:.2g} in ln E",
         )
+    total = {i: _width(columns, "material_modulus", i) for i in others}
+    worst = max(total, key=lambda i: total[i])
+    size = f"{names[worst]} has ln E +- {total[worst]:.2g}"
     if total[worst] <= GATE:
-        return ABSOLUTE, f"calibration and noise leave {size} or less{doubt}"
-    return CONTRAST, f"{size} and no reference is in the scan{doubt}"
+        return ABSOLUTE, f"calibration and noise leave {size} or less"
+    return CONTRAST, f"{size} and no reference is in the scan"
+
+
+def _width(columns: Mapping[str, _Floats], name: str, i: int) -> float:
+    """Return the standard deviation that a 90 % interval of a logarithm speaks of."""
+    return float(np.log(columns[f"{name}_upper"][i] / columns[f"{name}_lower"][i])) / _NINETY
