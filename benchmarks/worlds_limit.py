@@ -29,7 +29,7 @@ from overtone.instrument.noise import add_noise
 from overtone.instrument.shared import forces_of, shared_changes
 from overtone.instrument.signals import Signals, positions, signals_of
 from overtone.inversion.pixels import radius_exponent
-from overtone.inversion.priors import Prior, complete_priors, shared_priors
+from overtone.inversion.priors import Prior, complete_priors, of_single_pixels, shared_priors
 from worlds_simulated import POISSON_RATIO, Material, World, _solid
 
 Array = npt.NDArray[np.float64]
@@ -44,8 +44,8 @@ UNKNOWNS = len(PROPERTIES) + 1
 NOISY = 2000  # readings from which the noise of forces is taken
 EVEN = 1.0 / math.sqrt(12.0)
 """Standard deviation of an even prior of width 1."""
-STATED = {"modulus": Prior("log-normal", 0.45e9, 4.0)}
-"""Prior of every material: what the materials of all worlds together are distributed like."""
+STATED = {"modulus": Prior("log-normal", 0.45e9, 4.0), "adhesion": Prior("log-normal", 5.7e-9, 2.8)}
+"""Priors of every material: what the materials of all worlds together are distributed like."""
 
 
 class Local(NamedTuple):
@@ -187,12 +187,12 @@ def _noise(made: World, clean: Signals) -> Array:
 
 def _prior(probe: ot.Probe, material: Material, A1: float) -> Array:
     """Return precisions of ln of properties and indentation that are as wide as the priors of the inversion."""
-    defaults = complete_priors(STATED, contact_model("dmt-viscous"), probe.tip.radius)
+    defaults = complete_priors(of_single_pixels(STATED), contact_model("dmt-viscous"), probe.tip.radius)
     priors = shared_priors(STATED, defaults, probe.tip.radius)
     modulus, adhesion, tangent, depth = (priors[n] for n in (*PROPERTIES, "indentation"))
     sd = (
         math.log(modulus.second),
-        EVEN * math.log(adhesion.second / adhesion.first),
+        math.log(adhesion.second),
         EVEN * (tangent.second - tangent.first) / material.loss_tangent,
         EVEN * math.log(2.0 * A1 / depth.first),
     )

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from overtone.contact.models import contact_model
 from overtone.demo import demo_probe
-from overtone.inversion.priors import complete_priors, interval_width, shared_priors
+from overtone.inversion.priors import complete_priors, interval_width, of_single_pixels, shared_priors
 from worlds_limit import PROPERTIES, STATED
 from worlds_scores import CALIBRATIONS, CHECKED, NOISES, NULLS, WRONG
 
@@ -31,7 +31,8 @@ DEEP = 0.1
 NEAR_NORMAL = 1.0
 """90 % width that the information limit gives ln of a modulus, below which a linear limit means something."""
 _RADIUS = demo_probe().tip.radius
-PRIORS = shared_priors(STATED, complete_priors(STATED, contact_model("dmt-viscous"), _RADIUS), _RADIUS)
+_ALONE = complete_priors(of_single_pixels(STATED), contact_model("dmt-viscous"), _RADIUS)
+PRIORS = shared_priors(STATED, _ALONE, _RADIUS)
 WIDTHS = {name: interval_width(PRIORS[name]) for name in PROPERTIES}
 """Of the 90 % interval of what is known beforehand; of ln of modulus and adhesion, of the loss tangent itself."""
 

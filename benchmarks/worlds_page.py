@@ -62,9 +62,9 @@ Each of PS, LDPE and a third material has its median
 drawn about typical values (standard deviations of ln: {between}), properties that scatter by {spread} % from
 pixel to pixel, and interphases {interphase} pixels wide. Noise of A0 is {noises} pm, calibration tight or loose (a
 zero of A0 known to 3 or 30 pm, k to 5 % and R to 10 % in both), one combination a world in turn. The inversion is
-`dmt-viscous`; of every material it is told that ln of its modulus is normal about 0.45 GPa with a factor of 4, as those of
-all worlds together are, all else by default. With a reference it is told the modulus of PS, off by {reference_error} % (one
-standard deviation), and half of its pixels.
+`dmt-viscous`; of every material it is told that its modulus is log-normal about 0.45 GPa with a factor of 4, and its
+adhesion about 5.7 nN with a factor of 2.8, as those of all worlds together are; all else by default. With a
+reference it is told the modulus of PS, off by {reference_error} % (one standard deviation), and half of its pixels.
 
 ## 1. Coverage
 
@@ -83,8 +83,8 @@ of a scan share its errors, so the true standard errors are up to 1.7 times thos
 {outside}
 
 {flagged} Each material of a world is drawn from a narrower distribution than the prior of the inversion, which does not
-know which is which: a right posterior holds the truth in 90 of 100 draws of its prior, and in these worlds as often only
-where data and calibration say more than the prior does.
+know which is which: a right posterior holds the truth in 90 of 100 draws of its prior, and in these worlds as often
+only where data and calibration say more than the prior does.
 
 Of merged phases, whose numbers the result calls not resolved:
 

@@ -126,6 +126,15 @@ def complete_priors(
     return priors
 
 
+def of_single_pixels(stated: Mapping[str, Prior] | None) -> dict[str, Prior]:
+    """Return the stated priors that a pixel by itself can be given: adhesion only where it is no logarithm."""
+    return {
+        name: prior
+        for name, prior in (stated or {}).items()
+        if name != "adhesion" or prior.kind not in (LOG_RANGE, LOG_NORMAL)
+    }
+
+
 def shared_priors(
     stated: Mapping[str, Prior] | None, priors: Mapping[str, Prior], radius: float | None
 ) -> dict[str, Prior]:
@@ -145,7 +154,9 @@ def shared_priors(
         Of the tip [m].
     """
     shared = dict(priors)
-    if "adhesion" in shared and "adhesion" not in (stated or {}) and radius is not None:
+    if "adhesion" in shared and "adhesion" in (stated or {}):
+        shared["adhesion"] = (stated or {})["adhesion"]
+    elif "adhesion" in shared and radius is not None:
         around = 2.0 * math.pi * radius
         shared["adhesion"] = Prior(LOG_RANGE, around * LEAST_WORK, around * MOST_WORK)
     return shared
@@ -180,7 +191,11 @@ def for_kernel(priors: Mapping[str, Prior], first: str) -> KernelPrior:
         centre, precision = math.log(elastic.first), spread**-2
         low, high = centre - _FARTHEST * spread, centre + _FARTHEST * spread
     adhesion = priors.get("adhesion", DEFAULTS["adhesion"])
-    if adhesion.kind in (RANGE, LOG_RANGE):
+    if adhesion.kind == LOG_NORMAL:
+        spread = math.log(adhesion.second)
+        mean, F_precision = math.log(adhesion.first), spread**-2
+        F_low, F_high = (math.exp(mean + side * _FARTHEST * spread) for side in (-1.0, 1.0))
+    elif adhesion.kind in (RANGE, LOG_RANGE):
         F_low, F_high, mean, F_precision = adhesion.first, adhesion.second, 0.0, 0.0
     else:
         mean, F_precision = adhesion.first, adhesion.second**-2

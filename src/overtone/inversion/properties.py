@@ -18,7 +18,7 @@ from overtone.instrument.noise import complete_noise
 from overtone.inversion.columns import columns_of, is_linear, unknowns_of
 from overtone.inversion.marginal import Candidate, map_posteriors
 from overtone.inversion.pixels import Setting, radius_exponent
-from overtone.inversion.priors import Prior, complete_priors, format_priors, shared_priors
+from overtone.inversion.priors import Prior, complete_priors, format_priors, of_single_pixels, shared_priors
 from overtone.inversion.published import HARMONIC_SETS, POOR_RESIDUAL, map_least_squares
 from overtone.inversion.result import (
     AT_BOUND,
@@ -222,8 +222,9 @@ def map_properties(
             progress=progress,
         )
     else:
+        alone = of_single_pixels(priors) if method == POPULATION else priors
         candidates = tuple(
-            Candidate.of(r, c, setting, complete_priors(priors, r, probe.tip.radius), probe, known)
+            Candidate.of(r, c, setting, complete_priors(alone, r, probe.tip.radius), probe, known)
             for r, c in zip(records, columns, strict=True)
         )
         map_posteriors(setting, candidates, probe, sheet, full_motion=motion == "full", progress=progress)

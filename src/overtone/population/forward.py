@@ -65,7 +65,7 @@ class Scene(NamedTuple):
     references: npt.NDArray[np.int64]
     """(reference,): materials whose ln E is a datum."""
     even: bool
-    """Whether every ratio of forces of adhesion is alike beforehand, or every difference."""
+    """Whether the prior of adhesion is one of its logarithm: mean and precision are then those of ln F_ad."""
 
 
 @inner
@@ -133,7 +133,10 @@ class Desk(NamedTuple):
     g_all: _Floats
     """(unknown + material,): with those of ln E, as is"""
     P: _Floats
-    """what the priors add to the metric."""
+    """what the priors add to the metric, and"""
+    low: _Floats
+    """the bounds."""
+    high: _Floats
 
 
 @inner
@@ -155,6 +158,8 @@ def new_desk(scene: Scene) -> Desk:
         np.zeros((scene.orders.shape[0], 4)),
         np.zeros((m, m)),
         np.zeros(m),
+        np.zeros(m + materials),
+        np.zeros(m + materials),
         np.zeros(m + materials),
         np.zeros(m + materials),
     )
@@ -249,7 +254,10 @@ def log_prior(scene: Scene, prior: Prior, sticky: bool, loss: bool, x: _Floats, 
     total = 0.0
     for k in range(x.shape[0]):
         total -= 0.5 * prior.precision * (x[k] - prior.centre) ** 2
-        if sticky and not scene.even:
+        if sticky and scene.even:
+            away = v[k, ADHESION] + math.log(scene.unit) - prior.adhesion_mean
+            total -= 0.5 * prior.adhesion_precision * away * away
+        elif sticky:
             F = math.exp(v[k, ADHESION]) * scene.unit
             total += v[k, ADHESION] - 0.5 * prior.adhesion_precision * (F - prior.adhesion_mean) ** 2
         if loss:
@@ -310,7 +318,11 @@ def add_priors(
         if sticky:
             F = math.exp(v[k, ADHESION]) * scene.unit
             P[at + ADHESION] = _OPEN
-            if not scene.even:
+            if scene.even:
+                away = v[k, ADHESION] + math.log(scene.unit) - prior.adhesion_mean
+                g[at + ADHESION] -= prior.adhesion_precision * away
+                P[at + ADHESION] += prior.adhesion_precision
+            else:
                 g[at + ADHESION] += 1.0 - prior.adhesion_precision * (F - prior.adhesion_mean) * F
                 P[at + ADHESION] += prior.adhesion_precision * F * F
         else:
@@ -352,14 +364,15 @@ def cholesky(H: _Floats) -> bool:
 def settle_materials(
     scene: Scene, prior: Prior, sticky: bool, loss: bool, x: _Floats, v: _Floats, desk: Desk
 ) -> float:
-    """Move v to where the posterior at given ln E is largest, bounds left aside; return ln of the mass about it.
+    """Move v to where the posterior at given ln E is largest, within bounds; return ln of the mass about it.
 
-    The lower factor of the precision there is left in H of the desk; minus infinity where the search fails.
+    Minus infinity where the search fails.
     """
     materials, scans = scene.amplitude.shape
     each = FIRST_DEPTH + scans
     m, size, rows = materials * each, desk.f.shape[0], scene.orders.shape[0]
     desk.motions[:] = 0.0
+    bounds(scene, prior, sticky, loss, desk.low, desk.high)
     before = math.inf
     for step in range(_STEPS):
         all_rows(scene, x, v, desk)
@@ -392,6 +405,11 @@ def settle_materials(
         for a in range(m):
             for b in range(a):
                 desk.H[a, b] = desk.H[b, a]
+        for a in range(m):
+            here = v[a // each, a % each]
+            if (here <= desk.low[a] and desk.g[a] < 0.0) or (here >= desk.high[a] and desk.g[a] > 0.0):
+                desk.H[a, :], desk.H[:, a] = 0.0, 0.0
+                desk.H[a, a], desk.g[a] = 1.0, 0.0
         if not cholesky(desk.H):
             return -math.inf
         # L L' step = g; its squared length in standard deviations is |L^-1 g|^2
@@ -425,10 +443,8 @@ def settle_materials(
         before = length
         for k in range(materials):
             for a in range(each):
-                v[k, a] += share * desk.g[k * each + a]
-            for s in range(scans):
-                t = v[k, FIRST_DEPTH + s]
-                v[k, FIRST_DEPTH + s] = min(max(t, SHALLOWEST + 0.1), DEEPEST - 0.1)
+                at = k * each + a
+                v[k, a] = min(max(v[k, a] + share * desk.g[at], desk.low[at]), desk.high[at])
         if length < _SETTLED:
             break
     if before > 1.0:

@@ -111,9 +111,10 @@ def infer(
     bends = [Bend(np.zeros(size), _root(_AT_FIRST * t.within)) for t in tiles]
     spreads: list[Spread] = []
     responses: list[Response] = []
+    alone: list[Alone] | None = None
     for _ in range(_PASSES):
         evidence = evidence_of(tiles, bends, known)
-        alone = profiles_of(question, evidence, amplitude, known)
+        alone = profiles_of(question, evidence, amplitude, known, alone or ())
         if alone is None:
             return None
         spreads, responses, bends = [], [], []
@@ -133,7 +134,7 @@ def infer(
             responses.append(response)
             bends.append(_bend(response, spread, evidence.unit))
     evidence = evidence_of(tiles, bends, known)
-    alone = profiles_of(question, evidence, amplitude, known)
+    alone = profiles_of(question, evidence, amplitude, known, alone or ())
     if alone is None:
         return None
     draws = draw_materials(question, evidence, amplitude, known, alone, seed)

@@ -22,7 +22,7 @@ _Floats = npt.NDArray[np.float64]
 
 CHAINS = 2
 _ADAPTING, _ROUNDS = 60, 6  # steps of a round in which the walk learns its stride
-_LEG, _MOST_LEGS = 400, 9  # steps of a leg of a chain, and legs at most
+_LEG, _MOST_LEGS = 400, 12  # steps of a leg of a chain, and legs at most
 _STRIDE, _AIM = 0.7, 0.55  # the first stride, and the share of the steps that should be accepted
 _ATTEMPTS = 3  # starts of a climb
 _KEPT = 128  # draws of each chain that are kept
@@ -31,7 +31,8 @@ _VALLEYS = 4  # places from which a summit is looked for
 _WORSE = 60.0  # chi-squared above the least at which a second valley is still looked at
 _LOWER = 20.0  # ln of the density below the highest summit at which one does not count
 _WELL_MIXED = 1.05
-_STANDING = 0.02  # share of the steps accepted
+_FEWEST_DRAWS, _ENOUGH_DRAWS = 20.0, 120.0  # independent draws that a walk is worth: at least, and to end it
+_BATCHES = 12
 MIXED = 1.2
 """Ratio of spreads (between chains and within) beyond which the draws are not those of one distribution."""
 
@@ -169,7 +170,11 @@ class _Chain:
 
 
 def profiles_of(
-    question: Question, evidence: Evidence, amplitude: _Floats, known: Sequence[Known]
+    question: Question,
+    evidence: Evidence,
+    amplitude: _Floats,
+    known: Sequence[Known],
+    before: Sequence[Alone] = (),
 ) -> list[Alone] | None:
     """Return the posterior of each material by itself; None where one has no start: the model cannot make its forces.
 
@@ -183,6 +188,8 @@ def profiles_of(
         Of the tip [m].
     known : sequence of Known
         As the evidence has them.
+    before : sequence of Alone
+        An earlier answer, from which the search begins as well.
     """
     materials, scans = amplitude.shape
     size = question.rows.orders.size * scans
@@ -198,7 +205,7 @@ def profiles_of(
             evidence.unit,
             [0] * len(facts),
         )
-        found = _profile_of(question, alone)
+        found = _profile_of(question, alone, before[k].at(0.5) if before else None)
         if found is None:
             return None
         parts.append(found)
@@ -261,10 +268,10 @@ def draw_materials(
             within = x.var(axis=1).mean(axis=0)
             between = x.mean(axis=1).var(axis=0, ddof=1)
             mixing = np.sqrt(1.0 + between / np.maximum(within, 1e-300))
-            # a chain that stands still agrees with nothing
-            if min(leg[3] for legs in kept for leg in legs[-1:]) < _STANDING:
-                mixing = np.full(materials, math.inf)
-            if (mixing < _WELL_MIXED).all():
+            enough = _independent(x)
+            # draws that hang together agree with each other, and with nothing else
+            mixing = np.where(enough < _FEWEST_DRAWS, math.inf, mixing)
+            if (mixing < _WELL_MIXED).all() and (enough > _ENOUGH_DRAWS).all():
                 break
     some = np.linspace(0, x.shape[1] - 1, _KEPT).astype(int)
     ln_E, v, f = (
@@ -282,7 +289,19 @@ def draw_materials(
     )
 
 
-def _profile_of(question: Question, alone: Scene) -> Alone | None:
+def _independent(x: _Floats) -> _Floats:
+    """Return how many independent draws chains (chain, step, material) are worth, from the means of batches."""
+    chains, steps, materials = x.shape
+    length = steps // _BATCHES
+    batches = x[:, : length * _BATCHES].reshape(chains, _BATCHES, length, materials)
+    whole = x.reshape(-1, materials).var(axis=0)
+    of_means = batches.mean(axis=2).var(axis=1, ddof=1).mean(axis=0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        found = chains * _BATCHES * whole / of_means
+    return np.where(whole > 0.0, np.minimum(found, chains * steps), 0.0)
+
+
+def _profile_of(question: Question, alone: Scene, hint: tuple[float, _Floats] | None = None) -> Alone | None:
     """Return nodes of ln E of a material alone, density, its integral and the other unknowns; None without a start."""
     each = FIRST_DEPTH + alone.amplitude.shape[1]
     ln_E, v, chi2 = np.empty(_PLACES.size), np.empty((_PLACES.size, each)), np.empty(_PLACES.size)
@@ -296,17 +315,16 @@ def _profile_of(question: Question, alone: Scene) -> Alone | None:
     starts_of_material(first, question.sticky, question.loss, ln_E, v, chi2, _PLACES)
     prior = question.prior
     inside = np.isfinite(chi2) & (ln_E > prior.log_low) & (ln_E < prior.log_high)
-    if not inside.any():
+    if not inside.any() and hint is None:
         return None
     chi2 = np.where(inside, chi2, math.inf)
     padded = np.concatenate([[math.inf], chi2, [math.inf]])
     lowest = np.flatnonzero(inside & (chi2 <= padded[:-2]) & (chi2 <= padded[2:]))
     lowest = lowest[np.argsort(chi2[lowest])]
     summits: list[tuple[float, float, _Floats]] = []
-    for i in lowest[:_VALLEYS]:
-        if chi2[i] > chi2[lowest[0]] + _WORSE and summits:
-            continue
-        top, others = np.array([ln_E[i]]), v[i][None].copy()
+    starts = [(float(ln_E[i]), v[i]) for i in lowest[:_VALLEYS] if chi2[i] <= chi2[lowest[0]] + _WORSE]
+    for start, unknowns in ([hint] if hint is not None else []) + starts:
+        top, others = np.array([start]), unknowns[None].copy()
         height = climb(alone, prior, question.sticky, question.loss, top, others, np.empty((1, 1)))
         if math.isfinite(height):
             summits.append((height, float(top[0]), others[0]))

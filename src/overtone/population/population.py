@@ -23,7 +23,7 @@ from overtone.instrument.reference import reference_pixels
 from overtone.inversion.columns import Columns
 from overtone.inversion.motion import FEW, follow
 from overtone.inversion.pixels import Setting
-from overtone.inversion.priors import LOG_RANGE, Prior, for_kernel
+from overtone.inversion.priors import LOG_NORMAL, LOG_RANGE, Prior, for_kernel
 from overtone.inversion.result import (
     DETERMINED,
     MISSING_DATA,
@@ -143,7 +143,7 @@ def pool_scan(
     setting = settings[0]
     first = next(iter(priors))
     kernel_prior = for_kernel(priors, first)
-    even = "adhesion" in priors and priors["adhesion"].kind == LOG_RANGE
+    even = "adhesion" in priors and priors["adhesion"].kind in (LOG_RANGE, LOG_NORMAL)
     question = Question(
         columns,
         setting.rows,

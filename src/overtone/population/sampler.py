@@ -40,6 +40,7 @@ _DOWN = 14.0  # of ln of the density below its largest, where a profile ends
 _FIRST_STEP, _LONGEST_STEP, _SHORTEST_STEP = 0.02, 0.4, 1e-3
 _RETRACT = 12
 _ARRIVED, _LOST = 1e-8, 1e8  # squared length of what is left of a step, in the local metric
+_SAME = 1e-3  # squared distance, in the local metric, within which a step back ends where it began
 _TOO_FAR, _TOO_NEAR = 1.5, 0.4  # change of ln of the density between two places
 
 
@@ -248,6 +249,87 @@ def _log_step(
     return -0.5 * length / (stride * stride) - log_L + _log_det(M)
 
 
+@inner
+def _follow(
+    scene: Scene,
+    prior: Prior,
+    sticky: bool,
+    loss: bool,
+    start: State,
+    P: _Floats,
+    goal: _Floats,
+    end: State,
+    desk: Desk,
+    x: _Floats,
+    v: _Floats,
+    work: _Floats,
+    off: _Floats,
+) -> bool:
+    """Move the end of a step to where the harmonics have gone as far as is its goal; return whether that was found."""
+    n = end.u.shape[0]
+    for _ in range(_RETRACT):
+        finite = True
+        for a in range(n):
+            finite &= math.isfinite(end.u[a])
+        if not finite:
+            return False
+        _spread_out(end.u, x, v)
+        if not inside(scene, prior, sticky, loss, x, v):
+            return False
+        desk.motions[:] = end.motions
+        all_rows(scene, x, v, desk)
+        end.motions[:] = desk.motions
+        off[:] = goal - start.J.T @ (scene.precision @ (desk.f - start.f))
+        for a in range(n):
+            off[a] -= P[a] * (end.u[a] - start.u[a])
+        _solve(start.L, off, work)
+        length = 0.0
+        for a in range(n):
+            length += work[a] * off[a]
+            end.u[a] += work[a]
+        if not length < _LOST:
+            return False
+        if length < _ARRIVED:
+            return True
+    return False
+
+
+@inner
+def _leads_back(
+    scene: Scene,
+    prior: Prior,
+    sticky: bool,
+    loss: bool,
+    here: State,
+    there: State,
+    P: _Floats,
+    again: State,
+    desk: Desk,
+    x: _Floats,
+    v: _Floats,
+    work: _Floats,
+    off: _Floats,
+    goal: _Floats,
+) -> bool:
+    """Return whether the step from there that should end here does."""
+    n = here.u.shape[0]
+    goal[:] = there.J.T @ (scene.precision @ (here.f - there.f))
+    for a in range(n):
+        goal[a] += P[a] * (here.u[a] - there.u[a])
+    _solve(there.L, goal, work)
+    again.u[:] = there.u + work
+    again.motions[:] = there.motions
+    if not _follow(scene, prior, sticky, loss, there, P, goal, again, desk, x, v, work, off):
+        return False
+    length = 0.0
+    for a in range(n):
+        along = 0.0
+        for c in range(a, n):
+            along += here.L[c, a] * (again.u[c] - here.u[c])
+        length += along * along
+    return length < _SAME
+
+
 @kernel
 def walk(
     scene: Scene,
@@ -282,7 +364,7 @@ def walk(
     m = materials * each
     n = m + materials
     desk = new_desk(scene)
-    here, there = _new_state(scene, desk), _new_state(scene, desk)
+    here, there, again = _new_state(scene, desk), _new_state(scene, desk), _new_state(scene, desk)
     P, P_there, work, step, goal, off = (
         np.zeros(n),
         np.zeros(n),
@@ -321,42 +403,21 @@ def walk(
             goal[a] = total
         there.u[:] = here.u + step
         there.motions[:] = here.motions
-        found = False
-        for _ in range(_RETRACT):
-            finite = True
-            for a in range(n):
-                finite &= math.isfinite(there.u[a])
-            if not finite:
-                break
-            _spread_out(there.u, x_now, v_now)
-            if not inside(scene, prior, sticky, loss, x_now, v_now):
-                break
-            desk.motions[:] = there.motions
-            all_rows(scene, x_now, v_now, desk)
-            there.motions[:] = desk.motions
-            off[:] = goal - here.J.T @ (scene.precision @ (desk.f - here.f))
-            for a in range(n):
-                off[a] -= P[a] * (there.u[a] - here.u[a])
-            _solve(here.L, off, work)
-            length = 0.0
-            for a in range(n):
-                length += work[a] * off[a]
-                there.u[a] += work[a]
-            if not length < _LOST:
-                break
-            if length < _ARRIVED:
-                found = True
-                break
-        if found:
+        candidate = -math.inf
+        if _follow(scene, prior, sticky, loss, here, P, goal, there, desk, x_now, v_now, work, off):
             candidate = _look(scene, prior, sticky, loss, there, desk, x_now, v_now, P_there)
-            if candidate > -math.inf:
-                forward = _log_step(scene, here, there, stride, P, work, step)
-                back = _log_step(scene, there, here, stride, P_there, work, step)
-                if math.log(max(uniforms[i], 1e-300)) < candidate - value + back - forward:
-                    _copy(there, here)
-                    P[:] = P_there
-                    value = candidate
-                    accepted += 1
+        if candidate > -math.inf:
+            forward = _log_step(scene, here, there, stride, P, work, step)
+            back = _log_step(scene, there, here, stride, P_there, work, step)
+            wanted = math.log(max(uniforms[i], 1e-300)) < candidate - value + back - forward
+            # a step that does not lead back the same way would be taken too often
+            if wanted and _leads_back(
+                scene, prior, sticky, loss, here, there, P_there, again, desk, x_now, v_now, work, off, goal
+            ):
+                _copy(there, here)
+                P[:] = P_there
+                value = candidate
+                accepted += 1
         _spread_out(here.u, x[i], v[i])
         f[i] = here.f
     x0[:], v0[:] = x[-1], v[-1]

@@ -43,7 +43,8 @@ def stack_scans(scans: Sequence[xr.Dataset]) -> xr.Dataset:
     Notes
     -----
     What the calibration leaves uncertain is taken to be the same in all scans. Scans that were anchored each by itself
-    have errors, and a calibration, of their own.
+    have errors, and a calibration, of their own. A zero of A0 that differs between them, by drift or because virtual
+    deflection follows the height, shows as a model that does not fit.
     """
     scans = list(scans)
     if not scans:
@@ -124,8 +125,8 @@ def _check_alike(first: xr.Dataset, scan: xr.Dataset, number: int) -> None:
             f"scan {number} has another calibration than the first",
             expected="one calibration for all, so that what it leaves uncertain is the same in all",
             got="one corrected scan and one that is not" if one_only else "two that differ",
-            hint="overtone.correct for each of them, with the same calibration and reference=None: anchored, each scan "
-            "has a calibration of its own",
+            hint="overtone.correct for each, with the same calibration and reference=None (--reference-area none): "
+            "anchored, each scan has a calibration of its own",
         )
     if probes[0] != probes[1]:
         raise InversionError(
