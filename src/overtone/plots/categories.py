@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 import xarray as xr
@@ -41,7 +42,12 @@ _BELOW_LABELS = 0.45
 
 
 def draw_flags(
-    axes: Axes, array: xr.DataArray, *, title: str | None = None, legend_axes: Axes | None = None
+    axes: Axes,
+    array: xr.DataArray,
+    *,
+    title: str | None = None,
+    legend_axes: Axes | None = None,
+    colours: Mapping[str, str] | None = None,
 ) -> None:
     """Draw a categorical map with the share of pixels of each category in its legend.
 
@@ -55,11 +61,14 @@ def draw_flags(
         Short; the name of the quantity where not given.
     legend_axes : Axes, optional
         A cell that the legend has for itself; below the map where not given.
+    colours : mapping of str to str, optional
+        Colour of a meaning, where it is to have one of its own.
     """
     plane, note = plane_of(array)
     set_title(axes, (title_of(array) if title is None else title) + note)
     known = flags(array)
-    colours = [_FLAG_COLOURS.get(m, PALETTE[i % len(PALETTE)]) for i, m in enumerate(known.values())]
+    own = {**_FLAG_COLOURS, **(colours or {})}
+    shades = [own.get(meaning, PALETTE[i % len(PALETTE)]) for i, meaning in enumerate(known.values())]
     codes = np.full(plane.shape, math.nan)
     for i, flag in enumerate(known):
         codes[plane.values == flag] = i
@@ -69,10 +78,10 @@ def draw_flags(
             legend_axes.set_axis_off()
         return
     if plane.ndim < 2:
-        draw_flag_points(axes, plane, codes, colours)
+        draw_flag_points(axes, plane, codes, shades)
     else:
-        draw_image(axes, plane, codes, category_scale(colours))
-    _draw_legend(axes, array, colours, legend_axes)
+        draw_image(axes, plane, codes, category_scale(shades))
+    _draw_legend(axes, array, shades, legend_axes)
 
 
 def _draw_legend(axes: Axes, array: xr.DataArray, colours: list[str], legend_axes: Axes | None) -> None:
@@ -85,7 +94,7 @@ def _draw_legend(axes: Axes, array: xr.DataArray, colours: list[str], legend_axe
     if legend_axes is None:
         # In inches: the labels of the axis above the legend do not shrink with a flat map.
         below = ScaledTranslation(0.0, -_BELOW_LABELS, axes.figure.dpi_scale_trans)
-        axes.legend(
+        legend = axes.legend(
             handles=handles,
             loc="upper left",
             bbox_to_anchor=(0.0, 0.0),
@@ -97,6 +106,8 @@ def _draw_legend(axes: Axes, array: xr.DataArray, colours: list[str], legend_axe
         )
     else:
         legend_axes.set_axis_off()
-        legend_axes.legend(
+        legend = legend_axes.legend(
             handles=handles, loc="center left", frameon=False, fontsize=LABEL_SIZE, borderaxespad=0
         )
+    for text in legend.get_texts():
+        text.set_parse_math(False)  # a name of a sample is no formula

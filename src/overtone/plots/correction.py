@@ -30,7 +30,7 @@ _LEAST = {"m": 1e-13, "rad": 1e-3}  # half of a colour scale, at least: smaller 
 _STYLES = {"as read": ("0.65", 3.0), "corrected": (PALETTE[0], 1.2)}
 
 
-class _Pair(NamedTuple):
+class Pair(NamedTuple):
     """One signal before and after, on (y, x) in SI units."""
 
     title: str
@@ -61,7 +61,7 @@ def correction_figure(scan: xr.Dataset, corrected: xr.Dataset) -> Figure:
     difference; each is centred on its own map. With the second harmonic its phase is counted from twice that of the
     first: an elastic contact gives 180 degrees or none to both halves of a blend.
     """
-    _check(scan, corrected)
+    check_pixels(scan, corrected)
     pairs = _pairs(scan, corrected)
     marked = plane_of(corrected["reference"])[0].values == 1 if "reference" in corrected else None
     strips = [pair for pair in (_mean(scan, corrected), _phase(scan, corrected)) if pair is not None]
@@ -70,7 +70,7 @@ def correction_figure(scan: xr.Dataset, corrected: xr.Dataset) -> Figure:
     for axes in sheet.cells:
         axes.set_axis_off()
     for k, pair in enumerate(pairs):
-        _draw_pair(sheet.cells[k], sheet.cells[columns + k], pair)
+        draw_pair(sheet.cells[k], sheet.cells[columns + k], pair)
     last = iter(sheet.cells[2 * columns :])
     if marked is not None:
         axes = _used(next(last))
@@ -92,7 +92,8 @@ def correction_figure(scan: xr.Dataset, corrected: xr.Dataset) -> Figure:
     return sheet.lay_out("", legend)
 
 
-def _check(scan: xr.Dataset, corrected: xr.Dataset) -> None:
+def check_pixels(scan: xr.Dataset, corrected: xr.Dataset) -> None:
+    """Refuse what are no maps, or not of the same pixels."""
     for what, dataset in (("scan", scan), ("corrected scan", corrected)):
         if not {"y", "x"} <= set(dataset["A1"].dims):
             raise ObservablesError(
@@ -118,35 +119,35 @@ def _used(axes: Axes) -> Axes:
 # --- what is drawn ------------------------------------------------------------------------------------------------
 
 
-def _pairs(scan: xr.Dataset, corrected: xr.Dataset) -> list[_Pair]:
+def _pairs(scan: xr.Dataset, corrected: xr.Dataset) -> list[Pair]:
     found = [_mean(scan, corrected)]
     if all({"A2", "phi2"} <= set(dataset) for dataset in (scan, corrected)):
-        found.append(_Pair("harmonic 2", typeset("A_2"), "m", *_planes("A2", scan, corrected)))
+        found.append(Pair("harmonic 2", typeset("A_2"), "m", *_planes("A2", scan, corrected)))
         lags = [
             plane_of(dataset["phi2"])[0] - 2.0 * plane_of(dataset["phi1"])[0] for dataset in (scan, corrected)
         ]
-        found.append(_Pair("phase of harmonic 2", r"$\phi_2 - 2\phi_1$", "rad", *map(_continuous, lags)))
+        found.append(Pair("phase of harmonic 2", r"$\phi_2 - 2\phi_1$", "rad", *map(continuous, lags)))
     else:
         found.append(_phase(scan, corrected))
     return [pair for pair in found if pair is not None]
 
 
-def _mean(scan: xr.Dataset, corrected: xr.Dataset) -> _Pair | None:
+def _mean(scan: xr.Dataset, corrected: xr.Dataset) -> Pair | None:
     if not ("A0" in scan and "A0" in corrected):
         return None
-    return _Pair("mean deflection", typeset("A_0"), "m", *_planes("A0", scan, corrected))
+    return Pair("mean deflection", typeset("A_0"), "m", *_planes("A0", scan, corrected))
 
 
-def _phase(scan: xr.Dataset, corrected: xr.Dataset) -> _Pair:
-    before, after = map(_continuous, _planes("phi1", scan, corrected))
-    return _Pair("phase", typeset("phi_1"), "rad", before, after)
+def _phase(scan: xr.Dataset, corrected: xr.Dataset) -> Pair:
+    before, after = map(continuous, _planes("phi1", scan, corrected))
+    return Pair("phase", typeset("phi_1"), "rad", before, after)
 
 
 def _planes(name: str, scan: xr.Dataset, corrected: xr.Dataset) -> tuple[xr.DataArray, xr.DataArray]:
     return plane_of(scan[name])[0], plane_of(corrected[name])[0]
 
 
-def _continuous(phase: xr.DataArray) -> xr.DataArray:
+def continuous(phase: xr.DataArray) -> xr.DataArray:
     """Return a phase about its mean between 0 and a whole turn, so that scatter about 0 does not split a map in two."""
     values = np.asarray(phase.values, dtype=float)
     known = values[np.isfinite(values)]
@@ -157,16 +158,30 @@ def _continuous(phase: xr.DataArray) -> xr.DataArray:
 # --- how it is drawn ----------------------------------------------------------------------------------------------
 
 
-def _draw_pair(above: Axes, below: Axes, pair: _Pair) -> None:
-    """Draw a signal before and after on colour scales of one unit and one width."""
+def draw_pair(above: Axes, below: Axes, pair: Pair, widest: float = math.inf) -> None:
+    """Draw a signal before and after on colour scales of one unit and, as a rule, one width.
+
+    Parameters
+    ----------
+    above, below : Axes
+        For the signal before and after.
+    pair : Pair
+        The signal.
+    widest : float, optional
+        How many times wider than the map after the one before may be: beyond, each has a scale of its own.
+    """
     limits = [_limits(array) for array in (pair.before, pair.after)]
-    half = max([0.5 * (high - low) for low, high in filter(None, limits)], default=0.0)
-    half = max(half, _LEAST[pair.unit])
+    halves = [
+        max(0.5 * (ends[1] - ends[0]), _LEAST[pair.unit]) if ends is not None else _LEAST[pair.unit]
+        for ends in limits
+    ]
+    if halves[0] <= widest * halves[1]:
+        halves = [max(halves)] * 2
     middles = [0.5 * sum(ends) if ends is not None else 0.0 for ends in limits]
     # in the unit of what is left: an offset is read in many picometres, the picture in few nanometres is not
-    unit = display_unit(abs(middles[1]) + half, pair.unit)
-    for axes, array, middle, word in zip(
-        (above, below), (pair.before, pair.after), middles, _STYLES, strict=True
+    unit = display_unit(abs(middles[1]) + halves[1], pair.unit)
+    for axes, array, middle, half, word in zip(
+        (above, below), (pair.before, pair.after), middles, halves, _STYLES, strict=True
     ):
         shown = array.copy(data=np.asarray(array.values, dtype=float) * unit.factor).rename("signal")
         shown.attrs = {"units": unit.label}
@@ -181,7 +196,7 @@ def _limits(array: xr.DataArray) -> Limits | None:
     return robust_limits(values, positive=False) if np.isfinite(values).any() else None
 
 
-def _draw_strip(axes: Axes, pair: _Pair, marked: Mask | None) -> None:
+def _draw_strip(axes: Axes, pair: Pair, marked: Mask | None) -> None:
     """Draw medians of the lines over the slow axis, each less the median of all lines."""
     set_title(axes, f"{pair.title}, line by line")
     slow: Hashable = pair.before.dims[0]
