@@ -86,6 +86,7 @@ def map_posteriors(
     *,
     full_motion: bool,
     progress: Callable[[int, int], None] | None,
+    parts: bool = True,
 ) -> None:
     """Fill a sheet with medians, intervals and status; of several models, with those of the one preferred.
 
@@ -103,6 +104,8 @@ def map_posteriors(
         Whether the harmonics of the motion count, or it is taken for a bare cosine.
     progress : callable, optional
         Called with (pixels done, pixels in all).
+    parts : bool
+        Whether the uncertainty is told apart into noise and shared errors, which takes a second sum over each pixel.
 
     Notes
     -----
@@ -111,7 +114,7 @@ def map_posteriors(
     """
     names = list(dict.fromkeys(name for c in candidates for name in c.quantities))
     sheet.add(*(f"{name}{variant}" for name in names for variant in ("", "_unscreened", "_lower", "_upper")))
-    apart = setting.shared is not None
+    apart = setting.shared is not None and parts
     sheet.add("uncertainty", *(["uncertainty_statistical", "uncertainty_systematic"] if apart else []))
     sheet.add("misfit", "log_evidence", "contact_probability")
     sheet.add("status", fill=MISSING_DATA, dtype="int8")

@@ -125,8 +125,8 @@ def map_properties(
         Standard deviation of each observable [m, rad], ``{"A0": 5e-12, "phi1": 2e-3, "A2": 1e-12}``;
         `overtone.instrument.noise.ORDINARY_NOISE` where not stated.
     priors : mapping of str to Prior, optional
-        What is known before (posterior only): of modulus (or stiffness, prefactor), adhesion, loss_tangent,
-        indentation. See `overtone.inversion.priors.DEFAULTS` for those not stated.
+        What is known before (posterior and population): of modulus (or stiffness, prefactor), adhesion, loss_tangent,
+        indentation. Materials of a population may have an adhesion whose logarithm is even or normal as well. See `overtone.inversion.priors.DEFAULTS` for those not stated.
     motion : str
         ``full``: the harmonics of the tip's motion count, those that were measured as measured. ``cosine``: they do
         not, as in the published formulas; moduli come out 1 to 6 % high. ``least-squares`` knows no other.
@@ -158,7 +158,12 @@ def map_properties(
         ``posterior`` adds ``<name>_lower`` and ``<name>_upper`` (90 % interval; the value is the median),
         ``loss_tangent``, ``misfit`` (chi-squared), ``log_evidence``, ``contact_probability``; after
         `overtone.correct` ``uncertainty_statistical`` and ``uncertainty_systematic``; with ``auto`` ``model`` and
-        ``model_probability``. ``exact`` adds ``solutions`` (their number), ``<name>_solutions`` and ``misfit``.
+        ``model_probability``. ``population`` has these pooled, with what each pixel says by itself as
+        ``<name>_unpooled``, ``_unpooled_lower`` and ``_unpooled_upper``; ``phase`` (-1 for none), ``phase_probability``
+        and ``shrinkage``; over ``material`` the table of phases (``material_<name>`` with its interval, spread within
+        the phase, statistical and systematic error, ratio to the reference, misfit) and, over ``row`` as well, each
+        harmonic with the interval that the others predict (``check_observed``, ``check_lower``, ``check_upper``);
+        ``verdict`` and ``verdict_reason`` as attributes. The two parts of the uncertainty are those of pooled pixels. ``exact`` adds ``solutions`` (their number), ``<name>_solutions`` and ``misfit``.
         ``least-squares`` adds ``residual`` (N_r), ``amplification`` (norm of d ln E per independent relative error of
         each harmonic), ``start_spread`` (range of ln E over the starting points), ``modulus_lower`` and
         ``modulus_upper`` (every modulus that some indentation and adhesion reconcile with the data at 90 %).
@@ -205,7 +210,7 @@ def map_properties(
     settings = [Setting.of(scan, probe, cons, diss, sigma) for scan in scans]
     setting = settings[0]
     sheet = Sheet(scans[0]["A1"], dtype)
-    stated = {}
+    stated: dict[str, object] = {}
     materials = None
     if method == "least-squares":
         map_least_squares(setting, records[0], columns[0], sheet, progress=progress)
@@ -227,7 +232,15 @@ def map_properties(
             Candidate.of(r, c, setting, complete_priors(alone, r, probe.tip.radius), probe, known)
             for r, c in zip(records, columns, strict=True)
         )
-        map_posteriors(setting, candidates, probe, sheet, full_motion=motion == "full", progress=progress)
+        map_posteriors(
+            setting,
+            candidates,
+            probe,
+            sheet,
+            full_motion=motion == "full",
+            progress=progress,
+            parts=method != POPULATION,
+        )
         if method == POPULATION:
             from overtone.population.population import Request, pool_scan
 
@@ -263,6 +276,8 @@ def map_properties(
     result = sheet.dataset(attributes)
     if materials is not None:
         result = result.assign(materials.arrays).assign_attrs(materials.attributes)
+        if doubts:
+            result = result.assign_attrs(verdict="contrast", verdict_reason=str(attributes["cannot_conclude"]))
         of_all = shared_priors(priors, candidates[0].priors, probe.tip.radius)
         stated |= {"shared_priors": format_priors(of_all)}
         stated |= {"phases": "given" if isinstance(phases, xr.DataArray) else phases, "seed": seed}

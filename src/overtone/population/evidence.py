@@ -74,8 +74,8 @@ class Tiles(NamedTuple):
     """(tile, datum, source): what each shared error adds to what is concluded from the readings [N]."""
     radius: _Floats
     """(source,): and to ln R of the tip."""
-    count: _Indices
-    """(tile,): pixels."""
+    pixels: _Indices
+    """(tile,): how many."""
     within: _Floats
     """(datum, datum): covariance of a pixel about its tile [N^2]."""
     between: _Floats
@@ -90,7 +90,7 @@ class Tiles(NamedTuple):
     @property
     def covariance(self) -> _Floats:
         """(tile, datum, datum): of each mean but for what tiles share [N^2]."""
-        return np.asarray(self.between[None] + self.within[None] / self.count[:, None, None])
+        return np.asarray(self.between[None] + self.within[None] / self.pixels[:, None, None])
 
 
 def tiles_of(settings: Sequence[Setting], data: Harvest, members: _Indices, tile: _Indices) -> Tiles:

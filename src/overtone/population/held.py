@@ -45,7 +45,7 @@ def _drive(scene: Scene, f: _Floats, first: _Floats, still: complex) -> float:
             else:
                 cons = f[r]
     # f_1 = CONS_1 - i DISS_1; first is A1/G
-    return (first[0] - cons) ** 2 + (first[1] + diss) ** 2
+    return float((first[0] - cons) ** 2 + (first[1] + diss) ** 2)
 
 
 @inner

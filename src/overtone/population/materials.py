@@ -235,7 +235,9 @@ def draw_materials(
         # each chain begins on a summit of its own: one and the same, unless there are several
         best, x0, v0 = -math.inf, np.zeros(materials), np.zeros((materials, each))
         for attempt in range(_ATTEMPTS):
-            shares = np.full(materials, 0.5) if attempt == 0 else generator.uniform(0.05, 0.95, materials)
+            shares = np.full(materials, 0.5)
+            if attempt > 0:
+                shares = np.asarray(generator.uniform(0.05, 0.95, materials))
             starts = [part.at(share) for part, share in zip(parts, shares, strict=True)]
             x_start = np.array([start[0] for start in starts])
             v_start = np.stack([start[1] for start in starts])

@@ -58,7 +58,7 @@ def _below(x: float) -> float:
     k = int(place)
     if k >= _NORMAL.shape[0] - 1:
         return 1.0
-    return _NORMAL[k] + (place - k) * (_NORMAL[k + 1] - _NORMAL[k])
+    return float(_NORMAL[k] + (place - k) * (_NORMAL[k + 1] - _NORMAL[k]))
 
 
 @kernel

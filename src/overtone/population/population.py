@@ -156,6 +156,8 @@ def pool_scan(
         for variant in ("", "_lower", "_upper"):
             source = f"{name}_unscreened" if not variant else f"{name}{variant}"
             sheet.values[f"{name}_unpooled{variant}"] = sheet.values[source].copy()
+    if setting.shared is not None:
+        sheet.add("uncertainty_statistical", "uncertainty_systematic")
     sheet.add("shrinkage", fill=0.0)
     sheet.add("phase", fill=NONE, dtype="int8")
     sheet.add("phase_probability", fill=0.0)
@@ -379,8 +381,8 @@ def _wanders(joint: Joint, place: int) -> float:
     shared = tiles.changes.shape[2]
     z = joint.draws.z[:, :shared].mean(axis=0)
     # slopes that the instrument adds are none of the sample
-    away = tiles.changes - np.average(tiles.changes, axis=0, weights=tiles.count)
-    count = tiles.count.astype(float)
+    away = tiles.changes - np.average(tiles.changes, axis=0, weights=tiles.pixels)
+    count = tiles.pixels.astype(float)
     between = beyond_scatter((tiles.y - away @ z) / unit, count, tiles.within / unit**2)
     # what is left over may be the bend of the harmonics: a tenth of what wanders need not be explained
     V = tiles.within / unit**2 / float(np.median(count)) + np.diag(
@@ -418,7 +420,7 @@ def _pool_phase(
     shared = settings[0].shared
     place = np.zeros((len(pixels), 3))
     if shared is not None:
-        centre = np.average(tiles.place, axis=0, weights=tiles.count)
+        centre = np.average(tiles.place, axis=0, weights=tiles.pixels)
         place = np.stack([part[pixels] for part in shared.where], axis=1) - centre
     quantiles = np.empty((len(pixels), len(names), len(QUANTILES)))
     spreads = np.empty((len(pixels), len(names)))

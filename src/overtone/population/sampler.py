@@ -421,4 +421,4 @@ def walk(
         _spread_out(here.u, x[i], v[i])
         f[i] = here.f
     x0[:], v0[:] = x[-1], v[-1]
-    return accepted / x.shape[0]
+    return float(accepted / x.shape[0])

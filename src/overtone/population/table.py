@@ -75,7 +75,7 @@ class Material:
             return 1
         scans = self.joint.draws.scene.amplitude.shape[1]
         free = int((self.joint.spreads[self.place].value > 0.0).sum())
-        return max(self.joint.draws.scene.orders.size * scans - free - scans, 1)
+        return max(len(self.joint.draws.scene.orders) * scans - free - scans, 1)
 
     @property
     def misfit_probability(self) -> float:
