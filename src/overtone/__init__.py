@@ -65,11 +65,13 @@ if TYPE_CHECKING:
     from overtone.io.spectrum import read_spectrum as read_spectrum
     from overtone.io.traces import read_trace as read_trace
     from overtone.planning.experiment import plan_experiment as plan_experiment
+    from overtone.population.stack import stack_scans as stack_scans
     from overtone.presets import preset as preset
     from overtone.probe import Probe as Probe
     from overtone.probe import load_probe as load_probe
     from overtone.probe import save_probe as save_probe
     from overtone.readings import probe_of as probe_of
+    from overtone.report.paper import write_paper as write_paper
 
 # Public name to the module it lives in.
 _HOME = {
@@ -124,6 +126,7 @@ _HOME = {
     "simulate_approach": "instrument.curve",
     "simulate_far_field": "instrument.curve",
     "simulate_scan": "instrument.scan",
+    "stack_scans": "population.stack",
     "static_sensitivity": "instrument.sensitivity",
     "steady_states": "dynamics.steady",
     "tabor_parameter": "contact.validity",
@@ -133,6 +136,7 @@ _HOME = {
     "tip_wear": "instrument.tip",
     "to_force_harmonics": "harmonics",
     "to_observables": "harmonics",
+    "write_paper": "report.paper",
 }
 
 __all__ = ["__version__", *_HOME]

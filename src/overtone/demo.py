@@ -34,15 +34,18 @@ from overtone.probe import Probe
 from overtone.quantities import LIFT, named_array
 from overtone.readings import Reading, probe_of, with_reading
 from overtone.report.content import Calibrated, Report
+from overtone.report.materials import materials_table
+from overtone.report.numbers import percent
 from overtone.report.page import write_report
-from overtone.report.summary import energy_table, truth_properties_table, truth_table
+from overtone.report.results import alone, is_pooled
+from overtone.report.summary import energy_table, truth_materials_table, truth_properties_table, truth_table
 from overtone.units import format_quantity
 
 _POISSON_RATIO = 0.35
 _SETPOINT = 0.42
 
-RESULTS = (("posterior", "posterior", (0, 1, 2, 3)), ("least squares", "least-squares", (0, 1, 2)))
-"""What is shown: a label, the method and the harmonics it uses."""
+RESULTS = (("population", "population", (0, 1, 2, 3)), ("least squares", "least-squares", (0, 1, 2)))
+"""What is shown: a label, the method and the harmonics it uses. The first holds the posterior of each pixel as well."""
 
 Progress = Callable[[str, int, int], None]
 
@@ -265,6 +268,8 @@ def run_demo(folder: str | Path, *, progress: Progress | None = None) -> Demo:
     supported = gates(
         left, setpoint=_SETPOINT, materials={m.name: _sample(m) for m in (POLYSTYRENE, POLYOLEFIN)}
     )
+    pooled = results[RESULTS[0][0]]
+    beside = truth_materials_table(results, truth, materials)
     report = Report(
         title="overtone demo: a PS-LDPE blend in tapping mode",
         subtitle="Simulated scan, 128 x 128 pixels, 8 x 8 um, with the lever of the method's paper and a microscope "
@@ -275,6 +280,8 @@ def run_demo(folder: str | Path, *, progress: Progress | None = None) -> Demo:
         truth=truth,
         materials=materials,
         tables=(
+            materials_table(pooled),
+            *([] if beside is None else [beside]),
             truth_table(results, truth, materials),
             truth_properties_table(results, truth, materials),
             energy_table(energies),
@@ -303,8 +310,8 @@ def run_demo(folder: str | Path, *, progress: Progress | None = None) -> Demo:
     known = truth[[name for name in ("modulus", "adhesion", "indentation", "material") if name in truth]]
     known = known.rename({name: f"{name}_truth" for name in known.data_vars}).drop_attrs(deep=False)
     for result, path in zip(results.values(), files[4:6], strict=True):
-        beside = result.merge(energies.drop_attrs(deep=False)).merge(known)
-        save(beside.assign_attrs(result.attrs), path)
+        whole = result.merge(energies.drop_attrs(deep=False)).merge(known)
+        save(whole.assign_attrs(result.attrs), path)
     notify("writing", 2, 3)
     write_report(report, files[6])
     notify("writing", 3, 3)
@@ -321,11 +328,17 @@ def _verdicts(
     """Say in words where a method can tell a modulus and where it cannot."""
     sentences = []
     for label, result in results.items():
+        pixels = alone(result)["status"] if is_pooled(result) else None
         for i, material in enumerate(materials):
-            status = result["status"].values[truth["material"].values == i]
-            share = float((status == DETERMINED).mean())
+            mine = truth["material"].values == i
+            share = float((result["status"].values[mine] == DETERMINED).mean())
+            own, told = "", ""
+            if pixels is not None:
+                own = f"; {percent(float((pixels.values[mine] == DETERMINED).mean()))} by themselves"
+                if material in result["material"].values[result["material_reference"].values == 1]:
+                    told = " It is the reference, whose modulus was told."
             sentences.append(
                 f"By {label} the modulus of {material} is {'' if share >= 0.5 else 'not '}determined "
-                f"({100 * share:.0f} % of its pixels)."
+                f"({percent(share)} of its pixels{own}).{told}"
             )
     return tuple(sentences)

@@ -10,7 +10,17 @@ from cyclopts import Parameter
 from rich.console import Console
 
 from overtone.cli.noise import noise_request, resolve_noise
-from overtone.cli.options import ScanOptions, open_with
+from overtone.cli.opened import both_ways, first_of, opened
+from overtone.cli.options import ScanOptions
+from overtone.cli.population import (
+    POPULATION,
+    PopulationOptions,
+    Sample,
+    arguments_of,
+    check_scan,
+    no_calibration,
+    sample_of,
+)
 from overtone.cli.priors import parse_priors
 from overtone.cli.progress import progress_bar
 from overtone.errors import OvertoneError
@@ -19,7 +29,7 @@ from overtone.errors import OvertoneError
 def map_scan(
     file: Path,
     /,
-    *,
+    *further: Path,
     output: Annotated[Path, Parameter(name=["--output", "-o"])],
     report: Path | None = None,
     model: str | None = None,
@@ -33,6 +43,7 @@ def map_scan(
     calibration: Path | None = None,
     reference_area: str | None = None,
     lift: Annotated[bool, Parameter(negative=())] = False,
+    population: PopulationOptions = PopulationOptions(),  # noqa: B008 - a frozen record
     scan: ScanOptions = ScanOptions(),  # noqa: B008 - a frozen record
 ) -> None:
     """Map a scan: force, energy, virial and regime always, mechanical properties where the data allow.
@@ -41,6 +52,8 @@ def map_scan(
     ----------
     file : Path
         Scan, curve or table: .ibw, a neaSNOM folder, netCDF, CSV.
+    further : Path
+        Further scans of the same pixels, at other set-points, that population takes together with the first.
     output : Path
         Result, a netCDF file.
     report : Path
@@ -49,8 +62,9 @@ def map_scan(
         Contact model (see "overtone models"), or auto: the one the data of each pixel prefer. dmt unless given, where a
         modulus can be mapped.
     method : str
-        posterior: medians and 90 % intervals. exact: every solution, without intervals. least-squares: the published
-        estimator, for reproduction.
+        posterior: medians and 90 % intervals. population: the same, sharpened by what the pixels of a phase share, with
+        a table of materials. exact: every solution, without intervals. least-squares: the published estimator, for
+        reproduction.
     harmonics : str
         Such as 0,1,2; those of 0 to 3 that were measured unless given.
     poisson_ratio : float
@@ -74,6 +88,8 @@ def map_scan(
         rectangle "x0, y0, x1, y1" with units, such as "0 um, 0 um, 2 um, 1 um".
     lift : bool
         Use the lift (Nap) pass of the file, recorded with the drive on, for drift, slopes and background.
+    population : PopulationOptions
+        What method population is told of the sample.
     scan : ScanOptions
         How the file is to be read.
     """
@@ -85,10 +101,12 @@ def map_scan(
     from overtone.readings import probe_of
     from overtone.report.content import Report
     from overtone.report.page import write_report
-    from overtone.report.summary import energy_table, property_table
+    from overtone.report.summary import energy_table, result_tables
     from overtone.report.terminal import print_report
 
-    _check_paths(file, output, report)
+    files = (file, *further)
+    told = sample_of(population, method)
+    _check_paths(files, output, report, population.paper)
     asked = _Request(
         model,
         method,
@@ -97,27 +115,34 @@ def map_scan(
         parse_priors(prior),
         motion,
         _parse_given(parameter),
+        told,
+        population.paper is not None,
     )
-    _check_request(asked)
+    _check_request(asked, len(files))
     wanted = noise_request(noise)
-    observables, correction = _opened(file, scan, calibration, reference_area, lift)
-    probe = probe_of(observables)
-    sigma, said = resolve_noise(wanted, observables, probe, pair=partial(_both_ways, file, scan, probe))
+    observables, correction = opened(files, scan, calibration, reference_area, lift)
+    probe, pooled = probe_of(observables), method == POPULATION
+    first = first_of(observables) if pooled else observables
+    sigma, said = resolve_noise(wanted, first, probe, pair=partial(both_ways, file, scan, probe))
     observables = provenance.add_finding(observables, said)
     energies = map_energy(observables, probe, noise=sigma)
     with progress_bar() as update:
-        result, label, remark = _properties(observables, asked, sigma, partial(update, "inverting"))
-    if remark:
-        observables = provenance.add_finding(observables, remark)
+        result, label, remarks = _properties(observables, asked, sigma, partial(update, "inverting"))
+    observables = provenance.add_finding(observables, *remarks)
+    first = first_of(observables) if pooled else observables
+    scans = observables["A1"].size // first["A1"].size
     properties: dict[str, xr.Dataset] = {} if result is None else {label: result}
-    tables = [energy_table(energies, _other_readings(observables))]
+    shown = first_of(energies) if pooled else energies
+    tables = [energy_table(shown, _other_readings(first))]
     if result is not None:
-        tables.append(property_table(label, result))
+        tables += result_tables(label, result)
     content = Report(
-        title=f"overtone: {file.name}",
-        subtitle=" x ".join(map(str, observables["A1"].shape)) + " pixels",
-        observables=observables,
-        energies=energies,
+        title=f"overtone: {file.name}" + (f" and {len(further)} more" if further else ""),
+        subtitle=" x ".join(map(str, first["A1"].shape))
+        + " pixels"
+        + (f", {scans} scans, of which the first is shown" if scans > 1 else ""),
+        observables=first,
+        energies=shown,
         properties=properties,
         tables=tuple(tables),
         findings=tuple(provenance.findings(observables)),
@@ -126,106 +151,61 @@ def map_scan(
     merged = observables.merge(energies.drop_attrs(deep=False))
     if result is not None:
         merged = merged.merge(result.drop_attrs(deep=False)).assign_attrs(result.attrs)
-    # the report first: where it cannot be written nothing is
-    if report is not None:
-        write_report(content, report)
+    written: list[Path] = []
+    # the reports first: where they cannot be written nothing is
     try:
+        if report is not None:
+            written.append(write_report(content, report))
+        if population.paper is not None and result is not None:
+            written += _written_paper(population.paper, content, result)
         save(merged.assign_attrs(findings=observables.attrs.get("findings", "[]")), output)
     except BaseException:
-        if report is not None:
-            report.unlink(missing_ok=True)
+        for path in written:
+            path.unlink(missing_ok=True)
         raise
     console = Console()
     print_report(content, console)
-    for path in (output, report):
-        if path is not None:
-            console.print(f"wrote {path}", highlight=False, soft_wrap=True, markup=False)
+    for name in (output, report, population.paper):
+        if name is not None:
+            console.print(f"wrote {name}", highlight=False, soft_wrap=True, markup=False)
 
 
-def _opened(
-    file: Path, scan: ScanOptions, calibration: Path | None, reference_area: str | None, lift: bool
-) -> tuple[Any, dict[str, Any]]:
-    """Return the scan, corrected where there is a calibration, and what a report says of that."""
-    if calibration is None:
-        for option, given in (("--reference-area", reference_area), ("--lift", lift)):
-            if given:
-                raise OvertoneError(
-                    f"{option} corrects a scan",
-                    expected="a calibration",
-                    hint="--calibration calibration.toml",
-                )
-        return open_with(file, scan), {}
-    from overtone import provenance
-    from overtone.errors import CalibrationError
-    from overtone.instrument.calibration import load_calibration
-    from overtone.instrument.correct import calibration_of, correct
-    from overtone.instrument.gates import gates
-    from overtone.report.content import Calibrated
+def _written_paper(folder: Path, content: Any, result: Any) -> tuple[Path, ...]:
+    from overtone.report.paper import write_paper
 
-    record = load_calibration(calibration)
-    before = open_with(file, scan, probe=record.probe, keep_offset=True)
-    nap = open_with(file, scan, probe=record.probe, lift=True) if lift else None
-    after = correct(before, record, reference=_area(reference_area), lift=nap)
-    left = calibration_of(after)
-    supported: tuple[Any, ...] = ()
-    if left is not None and left.reference is not None:
-        setpoint = float(after["A1"].median()) / left.probe.drive.free_amplitude
-        try:
-            supported = gates(left, setpoint=setpoint)
-        except CalibrationError as error:
-            after = provenance.add_finding(after, f"What the calibration supports cannot be told: {error}")
-    return after, {"before": before, "calibration": Calibrated(record, gates=supported)}
-
-
-def _area(text: str | None) -> Any:
-    """Return the reference area of a text: auto, None, or a rectangle [m]."""
-    from overtone.units import parse_quantity
-
-    if text is None or text == "auto":
-        return "auto"
-    if text == "none":
-        return None
-    parts = text.split(",")
-    if len(parts) != 4:
-        raise OvertoneError(
-            "--reference-area is not understood",
-            expected='"auto", "none" or "x0, y0, x1, y1" with units',
-            got=repr(text),
-        )
-    return tuple(parse_quantity(part, "m", "--reference-area") for part in parts)
-
-
-def _both_ways(file: Path, scan: ScanOptions, probe: Any) -> tuple[Any, Any]:
-    """Return the direction that is mapped and the other one, as stored."""
-    from dataclasses import replace
-
-    other = {"trace": "retrace", "retrace": "trace"}.get(scan.direction or "")
-    if other is None:
-        raise OvertoneError(
-            "it is not said which of trace and retrace is mapped",
-            hint="--direction trace, or --noise scatter",
-        )
-    here, there = (
-        open_with(file, replace(scan, direction=way), probe=probe, keep_offset=True)
-        for way in (scan.direction, other)
+    return write_paper(
+        folder,
+        content.observables,
+        result,
+        before=content.before,
+        energies=content.energies,
+        curves=content.calibration,
+        title=content.title.removeprefix("overtone: "),
     )
-    return here, there
 
 
-def _check_paths(file: Path, output: Path, report: Path | None) -> None:
-    """Refuse outputs that could not be written, or would replace the scan or each other."""
+def _check_paths(files: tuple[Path, ...], output: Path, report: Path | None, paper: Path | None) -> None:
+    """Refuse outputs that could not be written, or would replace a scan or each other."""
     paths = [path for path in (output, report) if path is not None]
     for path in paths:
         if not path.parent.is_dir():
             raise OvertoneError(f"the folder {path.parent} does not exist", hint="create it first")
         if path.is_dir():
             raise OvertoneError(f"{path} is a folder", expected="the name of a file")
-        if path.resolve() == file.resolve():
+        if path.resolve() in [file.resolve() for file in files]:
             raise OvertoneError(f"{path} is the scan itself", expected="another name for the result")
-    if len({path.resolve() for path in paths}) < len(paths):
+    named = [*paths, *([paper] if paper is not None else [])]
+    if len({path.resolve() for path in named}) < len(named):
         raise OvertoneError("result and report have the same name", got=str(output))
     if output.suffix.lower() != ".nc":
         raise OvertoneError(f"{output.name} is no name for a result", expected="a name that ends in .nc")
+    if paper is not None and (not paper.parent.is_dir() or (paper.exists() and not paper.is_dir())):
+        raise OvertoneError(
+            f"{paper} is no folder for a paper",
+            expected="the name of a folder",
+            got="a file" if paper.exists() else f"the folder {paper.parent} does not exist",
+            hint="another name" if paper.exists() else "create it first",
+        )
 
 
 class _Request(NamedTuple):
@@ -238,9 +218,11 @@ class _Request(NamedTuple):
     priors: dict[str, Any]
     motion: str
     given: dict[str, float]
+    sample: Sample
+    paper: bool
 
 
-def _check_request(asked: _Request) -> None:
+def _check_request(asked: _Request, files: int) -> None:
     """Refuse what could not be mapped, whether or not the file allows a modulus."""
     from overtone.contact.parameters import POISSON_RATIO
     from overtone.inversion.properties import HARMONIC_SETS, METHODS, MOTIONS, records_of
@@ -251,8 +233,16 @@ def _check_request(asked: _Request) -> None:
         raise OvertoneError("unknown motion", expected=", ".join(MOTIONS), got=repr(asked.motion))
     if asked.model is not None:
         records_of(asked.model, asked.method)
-    if asked.priors and asked.method != "posterior":
-        raise OvertoneError("only the posterior has priors", expected="--method posterior", got=asked.method)
+    if asked.priors and asked.method not in ("posterior", POPULATION):
+        raise OvertoneError(
+            "only the posterior has priors", expected="--method posterior or population", got=asked.method
+        )
+    if files > 1 and asked.method != POPULATION:
+        raise OvertoneError(
+            f"{files} scans are mapped one by one",
+            expected="one file, or --method population, which takes scans of the same pixels together",
+            got=f"--method {asked.method}",
+        )
     if (
         asked.method == "least-squares"
         and asked.harmonics is not None
@@ -297,8 +287,8 @@ def _other_readings(observables: Any) -> list[Any]:
 
 def _properties(
     observables: Any, asked: _Request, noise: dict[str, float], progress: Any
-) -> tuple[Any, str, str]:
-    """Return the property maps with a label, and what to say where there are none."""
+) -> tuple[Any, str, tuple[str, ...]]:
+    """Return the property maps with a label, and what to say of them, or where there are none."""
     from overtone.inversion.properties import map_properties, undetermined_properties
     from overtone.inversion.validity import with_validity
     from overtone.io.observables import missing_for_modulus
@@ -314,7 +304,7 @@ def _properties(
         )
         if absent
     ]
-    if missing and asked.model is not None and _needs_a_tip(asked):
+    if missing and (asked.model is not None or asked.paper) and _needs_a_tip(asked):
         raise OvertoneError(
             "a modulus was asked for",
             expected=" and ".join(missing),
@@ -323,12 +313,20 @@ def _properties(
         )
     if orders is None:
         reason = f"no modulus: {missing_for_modulus(observables)}."
+        if asked.paper:
+            raise OvertoneError("there is nothing to write a paper of", got=reason.removesuffix("."))
         if asked.model is None:
-            return None, "", reason
-        return undetermined_properties(observables, asked.model, reason), "no harmonics", reason
+            return None, "", (reason,)
+        return undetermined_properties(first_of(observables), asked.model, reason), "no harmonics", (reason,)
     if missing and (asked.model is None or _needs_a_tip(asked)):
-        return None, "", f"no modulus was mapped, because it needs {' and '.join(missing)}."
+        return None, "", (f"no modulus was mapped, because it needs {' and '.join(missing)}.",)
     model = asked.model or "dmt"
+    sample: dict[str, Any] = {}
+    remarks: tuple[str, ...] = ()
+    if asked.method == POPULATION:
+        check_scan(first_of(observables), orders)
+        sample, remark = arguments_of(asked.sample, first_of(observables), asked.poisson_ratio)
+        remarks = tuple(text for text in (no_calibration(observables), remark) if text)
     result = map_properties(
         observables,
         probe,
@@ -341,17 +339,18 @@ def _properties(
         motion=asked.motion,
         given=asked.given,
         progress=progress,
+        **sample,
     )
     result = with_validity(
         result,
-        observables["A1"],
+        first_of(observables)["A1"],
         probe,
         model=model,
         poisson_ratio=asked.poisson_ratio,
         harmonics=orders,
         **asked.given,
     )
-    return result, "harmonics " + ", ".join(map(str, orders)), ""
+    return result, "harmonics " + ", ".join(map(str, orders)), remarks
 
 
 def _needs_a_tip(asked: _Request) -> bool:

@@ -193,6 +193,23 @@ def parse_pairs(texts: Sequence[str], option: str) -> dict[str, str]:
     return pairs
 
 
+def parse_rectangle(text: str, option: str, besides: str = "") -> tuple[float, float, float, float]:
+    """Return the corners x0, y0, x1, y1 [m] of a text such as "0 um, 0 um, 2 um, 1 um".
+
+    ``besides`` says what else the option takes.
+    """
+    parts = [part.strip() for part in text.split(",")]
+    if len(parts) != 4:
+        raise OvertoneError(
+            f"{option} is not understood",
+            expected=f'{besides}"x0, y0, x1, y1" with units',
+            got=repr(text),
+            hint=f'{option} "0 um, 0 um, 2 um, 1 um"',
+        )
+    x0, y0, x1, y1 = (parse_quantity(part, "m", option) for part in parts)
+    return x0, y0, x1, y1
+
+
 def reading_arguments(options: ScanOptions) -> dict[str, Any]:
     """Return what the options say of reading a file, as the arguments of `open_scan` and `open_curve`."""
     from overtone.probe import load_probe

@@ -19,6 +19,6 @@ def progress_bar() -> Iterator[Callable[[str, int, int], None]]:
         def update(stage: str, done: int, count: int) -> None:
             if stage not in tasks:
                 tasks[stage] = bars.add_task(stage, total=count)
-            bars.update(tasks[stage], completed=done)
+            bars.update(tasks[stage], completed=done, total=count)
 
         yield update

@@ -126,7 +126,8 @@ def map_properties(
         `overtone.instrument.noise.ORDINARY_NOISE` where not stated.
     priors : mapping of str to Prior, optional
         What is known before (posterior and population): of modulus (or stiffness, prefactor), adhesion, loss_tangent,
-        indentation. Materials of a population may have an adhesion whose logarithm is even or normal as well. See `overtone.inversion.priors.DEFAULTS` for those not stated.
+        indentation. Materials of a population may have an adhesion whose logarithm is even or normal as well. See
+        `overtone.inversion.priors.DEFAULTS` for those not stated.
     motion : str
         ``full``: the harmonics of the tip's motion count, those that were measured as measured. ``cosine``: they do
         not, as in the published formulas; moduli come out 1 to 6 % high. ``least-squares`` knows no other.
@@ -163,7 +164,8 @@ def map_properties(
         and ``shrinkage``; over ``material`` the table of phases (``material_<name>`` with its interval, spread within
         the phase, statistical and systematic error, ratio to the reference, misfit) and, over ``row`` as well, each
         harmonic with the interval that the others predict (``check_observed``, ``check_lower``, ``check_upper``);
-        ``verdict`` and ``verdict_reason`` as attributes. The two parts of the uncertainty are those of pooled pixels. ``exact`` adds ``solutions`` (their number), ``<name>_solutions`` and ``misfit``.
+        ``verdict`` and ``verdict_reason`` as attributes. The two parts of the uncertainty are those of pooled pixels.
+        ``exact`` adds ``solutions`` (their number), ``<name>_solutions`` and ``misfit``.
         ``least-squares`` adds ``residual`` (N_r), ``amplification`` (norm of d ln E per independent relative error of
         each harmonic), ``start_spread`` (range of ln E over the starting points), ``modulus_lower`` and
         ``modulus_upper`` (every modulus that some indentation and adhesion reconcile with the data at 90 %).

@@ -9,8 +9,8 @@ import numpy.typing as npt
 
 from overtone.instrument.signals import Positions, Signals
 from overtone.inversion.linear import stiffness
-from overtone.inversion.pixels import Setting, Shared, in_rows
-from overtone.population.evidence import Tiles
+from overtone.inversion.pixels import Setting, Shared
+from overtone.population.evidence import Tiles, sources_of
 from overtone.population.forward import ADHESION, FIRST_DEPTH, TANGENT
 from overtone.population.held import PROPERTIES
 from overtone.population.joint import Joint, free_properties, respond
@@ -34,7 +34,7 @@ def quantities_of(question: Question) -> tuple[str, ...]:
 def tilts(settings: Sequence[Setting], tiles: Tiles, members: npt.NDArray[np.intp]) -> _Floats:
     """Return by how much more each shared error adds per metre of height, x and y: (3, datum, source) [N/m]."""
     parts = []
-    for setting in settings:
+    for i, setting in enumerate(settings):
         rows = setting.rows.orders.size
         if setting.shared is None:
             parts.append(np.zeros((3, rows, 0)))
@@ -49,8 +49,7 @@ def tilts(settings: Sequence[Setting], tiles: Tiles, members: npt.NDArray[np.int
             ),
             Positions(*places.T),
         )
-        changes, _ = setting.changes(same, slice(None), np.ones(4, complex))
-        added = -in_rows(changes, setting.rows)
+        added, _ = sources_of(settings, i, same)
         parts.append((added[1:] - added[0]) / _STEP)
     return np.concatenate(parts, axis=1)
 
@@ -64,7 +63,7 @@ def mixture_of(
     noise: _Floats,
     exponent: float,
     seed: int,
-) -> tuple[Mixture, _Floats, _Floats]:
+) -> tuple[Mixture, _Floats]:
     """Return what turns the harmonics of the pixels of a phase into their properties.
 
     Parameters
@@ -86,8 +85,6 @@ def mixture_of(
     -------
     Mixture
         Quantities as `quantities_of` orders them, logarithms all.
-    shrinkage : array (draw,)
-        Of ln E: variance that is left over that within the phase.
     mahalanobis : array (datum, datum)
         Precision of a pixel about its phase at the median draw [unit^-2].
     """
@@ -105,7 +102,6 @@ def mixture_of(
     bends = np.empty((chosen.size, data, PROPERTIES, PROPERTIES))
     lines = np.zeros((chosen.size, len(names), PROPERTIES + scans))
     base, spread = np.empty((chosen.size, len(names))), np.empty((chosen.size, len(names)))
-    shrinkage = np.empty(chosen.size)
     N = noise / unit**2
     s0 = joint.spreads[k]
     inverses = np.empty((chosen.size, data, data))
@@ -123,7 +119,6 @@ def mixture_of(
         inverses[i] = np.linalg.inv(V)
         G = (J * variances).T @ inverses[i]
         P = np.diag(variances) - G @ (J * variances)
-        shrinkage[i] = P[0, 0] / variances[0]
         f[i] = response.f + changes @ z[:shared]
         slope[i] = np.einsum("jds,s->jd", tilt, z[:shared]) / unit
         of_radius = exponent * float(joint.evidence.radius[:shared] @ z[:shared])
@@ -150,4 +145,4 @@ def mixture_of(
                 base[i, q] = np.log(S / question.columns.loss) + v[TANGENT] + of_radius
         gain[i], bends[i] = G, response.H
         spread[i] = np.sqrt(np.maximum(np.einsum("qi,ij,qj->q", along, P, along), 1e-16))
-    return Mixture(f, slope, bends, gain, lines, base, spread), shrinkage, np.median(inverses, axis=0)
+    return Mixture(f, slope, bends, gain, lines, base, spread), np.median(inverses, axis=0)

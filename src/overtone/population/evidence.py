@@ -10,6 +10,7 @@ all later steps need of the data is its centre and its precision.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -25,6 +26,8 @@ TILES = 12
 """Tiles along each side of a scan."""
 _UNSEEN = 1e-6  # share of the noise
 _COMPUTED = 1e-4  # relative accuracy of a computed harmonic
+DRIFTING = ("A0_offset", "phi1_offset", "free_amplitude")
+"""Unknowns that differ from scan to scan of a stack."""
 _FEWEST = 4  # pixels of a phase in a tile that count
 _PRIOR_TILES = 4.0  # tiles that the scatter between tiles is worth before it is seen
 
@@ -137,18 +140,16 @@ def tiles_of(settings: Sequence[Setting], data: Harvest, members: _Indices, tile
     )
     changes, radius = [], np.zeros(0)
     place = np.zeros((int(kept.sum()), 3))
-    for setting in settings:
+    for i, setting in enumerate(settings):
         if setting.shared is None:
             changes.append(np.zeros((int(kept.sum()), rows, 0)))
             continue
         shared = _averaged(setting.shared, members, inverse, count, kept)
-        if setting is settings[0]:
+        if i == 0:
             place = np.stack([shared.where.height, shared.where.x, shared.where.y], axis=1)
-        h = setting.harmonics(slice(0, 1))
-        turn = np.full(place.shape[0], h.turn[0] if np.isfinite(h.turn[0]) else 1.0 + 0j)
-        c, radius = setting.changes(shared, slice(None), turn)
-        # an unknown that is larger than believed makes the force larger than concluded
-        changes.append(-in_rows(c, setting.rows))
+        added, radius = sources_of(settings, i, shared)
+        changes.append(added)
+    radius = np.concatenate([radius, np.zeros(changes[0].shape[2] - radius.size)])
     return Tiles(
         chosen,
         np.concatenate(changes, axis=1),
@@ -160,6 +161,31 @@ def tiles_of(settings: Sequence[Setting], data: Harvest, members: _Indices, tile
         slope,
         place,
     )
+
+
+def sources_of(settings: Sequence[Setting], scan: int, shared: Shared) -> tuple[_Floats, _Floats]:
+    """Return what errors add to the rows of some readings (reading, row, source), and to ln R (source of all scans,).
+
+    What the calibration leaves open is one and the same in all scans of a stack; behind it stand, for each scan after
+    the first, the zeros of its own: they drift from one scan to the next as far as they may have done before.
+    """
+    setting = settings[scan]
+    turn = setting.harmonics(slice(0, 1)).turn[0]
+    turns = np.full(shared.signals.phasor[1].shape, turn if np.isfinite(turn) else 1.0 + 0j)
+    of_all, radius = setting.changes(shared, slice(None), turns)
+    # an unknown that is larger than believed makes the force larger than concluded
+    parts = [-in_rows(of_all, setting.rows)]
+    calibration = shared.calibration
+    own = [i for i, name in enumerate(calibration.names) if name in DRIFTING]
+    for other in range(1, len(settings)):
+        names = tuple(calibration.names[i] for i in own)
+        variances = np.diag(np.diag(calibration.covariance)[own])
+        if other != scan or not own:
+            parts.append(np.zeros((*parts[0].shape[:2], int((np.diag(variances) > 0.0).sum()))))
+            continue
+        alone = shared._replace(calibration=replace(calibration, names=names, covariance=variances))
+        parts.append(-in_rows(setting.changes(alone, slice(None), turns)[0], setting.rows))
+    return np.concatenate(parts, axis=2), radius
 
 
 def beyond_scatter(means: _Floats, count: _Floats, within: _Floats) -> _Floats:

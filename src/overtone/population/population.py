@@ -166,7 +166,7 @@ def pool_scan(
     sheet.values["phase"][:] = label
     sheet.values["phase_probability"][:] = found.probability.ravel()
     members = [np.flatnonzero((label == k) & data.usable) for k in range(found.count)]
-    which, known, anchored = _reference(request, scans[0], members)
+    which, known, anchored = _reference(request, scans[0], members, columns.contact.sample_factor)
     inner = [_away_from_edges(pixels, like.shape) for pixels in members]
     tile = _tile_numbers(like.shape)
     usual = [k for k in range(found.count) if len(members[k]) >= _FEWEST]
@@ -209,8 +209,9 @@ def pool_scan(
         setting.rows,
         exponent,
         known,
-        found.note,
+        found.note.split("; ")[0].rstrip("."),
         anchored,
+        setting.shared is not None,
     )
 
 
@@ -287,13 +288,16 @@ def _local_scatter(features: _Floats, noise: _Floats) -> _Floats:
 
 
 def _reference(
-    request: Request, scan: xr.Dataset, members: Sequence[_Indices]
+    request: Request, scan: xr.Dataset, members: Sequence[_Indices], sample_factor: float
 ) -> tuple[int, dict[int, tuple[float, float]], bool]:
-    """Return which phase is the reference (-1 none), what is known of it, and whether it anchored the scan before."""
+    """Return which phase is the reference (-1 none), what is known of it, and whether it anchored the scan before.
+
+    ``sample_factor`` is 1 - nu^2 of the map.
+    """
     from overtone.instrument.correct import calibration_of
 
     mask, anchored = None, False
-    name, value, error = "", None, 0.0
+    ratio, value, error = 0.0, None, 0.0
     calibration = calibration_of(scan)
     if request.reference is not None:
         if request.reference.modulus is None:
@@ -302,11 +306,8 @@ def _reference(
                 expected="Reference(modulus=..., modulus_error=...)",
                 hint="its modulus, or no reference",
             )
-        name, value, error = (
-            request.reference.name,
-            request.reference.modulus,
-            request.reference.modulus_error,
-        )
+        ratio = request.reference.poisson_ratio
+        value, error = request.reference.modulus, request.reference.modulus_error
         if request.reference_pixels is None:
             raise InversionError(
                 "where the reference lies is not said",
@@ -323,10 +324,12 @@ def _reference(
         stated = calibration.reference.properties.get("modulus")
         if stated is not None:
             mask, anchored = np.asarray(scan["reference"].values).ravel() == 1, True
-            name, value, error = calibration.reference.name, stated[0], stated[1]
+            ratio = calibration.reference.poisson_ratio
+            value, error = stated
     if mask is None or value is None:
         return -1, {}, False
-    del name
+    # what is measured is E/(1 - nu^2), and all materials are told by the ratio of the map
+    value *= sample_factor / (1.0 - ratio**2)
     shares = [float(mask[pixels].mean()) * (mask[pixels].sum() / max(mask.sum(), 1)) for pixels in members]
     hits = [float(mask[pixels].sum()) / max(int(mask.sum()), 1) for pixels in members]
     if not hits or max(hits) < _MARKED:
@@ -413,7 +416,7 @@ def _pool_phase(
     joint, k = material.joint, material.place
     assert joint is not None
     tiles, unit = joint.tiles[k], joint.evidence.unit
-    mixture, shrinkage, precision = mixture_of(
+    mixture, precision = mixture_of(
         settings, question, joint, k, tilts(settings, tiles, pixels), data.noise, exponent, seed
     )
     y = (data.y[pixels] - (data.amplitude[pixels] - tiles.amplitude) @ tiles.slope.T) / unit
@@ -454,12 +457,15 @@ def _pool_phase(
         sheet.put(f"{name}_lower", pixels, values[:, q, 0])
         sheet.put(f"{name}_upper", pixels, values[:, q, 2])
     sheet.put("status", pixels, status)
+    alone = np.asarray(sheet.values["uncertainty"][pixels], dtype=float)
     sheet.put("uncertainty", pixels, spreads[:, 0])
     own = float(np.sqrt(np.mean(mixture.spread[:, 0] ** 2)))
     if "uncertainty_statistical" in sheet.values:
         sheet.put("uncertainty_statistical", pixels, own)
         sheet.put("uncertainty_systematic", pixels, np.sqrt(np.maximum(spreads[:, 0] ** 2 - own**2, 0.0)))
-    sheet.put("shrinkage", pixels, float(np.mean(shrinkage)))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        shrunk = 1.0 - (spreads[:, 0] / alone) ** 2
+    sheet.put("shrinkage", pixels, np.clip(np.nan_to_num(shrunk), 0.0, 1.0))
 
 
 __all__ = ["Materials", "Request", "pool_scan", "split_scans", "verdict_of"]

@@ -73,9 +73,9 @@ class Material:
         """Harmonics beyond the unknowns."""
         if self.joint is None:
             return 1
-        scans = self.joint.draws.scene.amplitude.shape[1]
+        rows, scans = int(self.joint.draws.scene.orders.size), int(self.joint.draws.scene.amplitude.shape[1])
         free = int((self.joint.spreads[self.place].value > 0.0).sum())
-        return max(len(self.joint.draws.scene.orders) * scans - free - scans, 1)
+        return max(rows * scans - free - scans, 1)
 
     @property
     def misfit_probability(self) -> float:
@@ -102,6 +102,7 @@ def materials_of(
     known: Mapping[int, tuple[float, float]],
     note: str,
     anchored: bool,
+    calibrated: bool,
 ) -> Materials:
     """Return the table of materials.
 
@@ -123,6 +124,8 @@ def materials_of(
         How the number of phases came about.
     anchored : bool
         Whether the scan was anchored to its reference before.
+    calibrated : bool
+        Whether it has a calibration at all.
     """
     count = len(materials)
     columns: dict[str, _Floats] = {}
@@ -153,6 +156,9 @@ def materials_of(
             total = float(high - low) / _NINETY
             if name in own:
                 statistical = min(own[name], total)
+                if name == "modulus" and material.index in known:
+                    # that the stated modulus is off is an error of all pixels
+                    statistical = math.sqrt(max(total**2 - known[material.index][1] ** 2, 0.0))
                 column(f"material_{name}_statistical")[i] = statistical
                 column(f"material_{name}_systematic")[i] = math.sqrt(max(total**2 - statistical**2, 0.0))
             if name in spreads and spreads[name] > 0.0:
@@ -170,7 +176,12 @@ def materials_of(
         arrays[name] = _array(name, np.array(whole, dtype=np.int64 if "s" in name[-2:] else np.int8), names)
     arrays |= _checks(materials, rows, names)
     verdict, reason = verdict_of(materials, columns, names, anchored)
-    notes = [note.rstrip(".")]
+    if not calibrated and verdict != CONTRAST:
+        verdict, reason = CONTRAST, "the scan has no calibration: what all pixels share is in no interval"
+    notes = [note]
+    unresolved = [names[i] for i, m in enumerate(materials) if not m.resolved]
+    if unresolved:
+        notes.append(f"{', '.join(unresolved)}: merged, not resolved")
     restless = [names[i] for i, m in enumerate(materials) if m.joint is not None and not m.settled]
     if restless:
         notes.append(f"the draws of {', '.join(restless)} have not settled: their intervals are rough")

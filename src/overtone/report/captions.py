@@ -42,6 +42,15 @@ CERTAINTY = (
     "can be trusted for; how probable it is that the tip touches the sample; and where several models were compared, "
     "the one chosen and its probability among them."
 )
+PHASES = (
+    "Phases told apart in the observables, before any contact model; grey pixels belong to none. Shrinkage: 0 "
+    "where the data of the pixel alone decide ln E, 1 where its phase does."
+)
+CHECK = (
+    "Mean of each force harmonic of a phase (value at the left) against what the model predicts for it from the "
+    "others: bars hold 90 % of the prediction, in its standard deviations. Diamonds lie outside. p: chance of a "
+    "larger chi-squared if the model is right."
+)
 NOWHERE = "No pixel is determined: words stand where a map of colours would look like an answer."
 VALIDITY = (
     "What the contact asks of its model: a small pressure against the modulus, a depth small against the tip radius, "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.resources import files
@@ -18,9 +18,11 @@ from matplotlib.figure import Figure
 from overtone import plots, provenance
 from overtone._version import __version__
 from overtone.io.atomic import atomic_path
+from overtone.plots.phases import phases_figure
+from overtone.plots.prediction import prediction_figure
 from overtone.report import captions
 from overtone.report.content import Report, Table
-from overtone.report.results import EXACT, LEAST_SQUARES, POSTERIOR, method_of, undetermined
+from overtone.report.results import EXACT, LEAST_SQUARES, POSTERIOR, is_pooled, method_of, undetermined
 from overtone.report.shares import status_shares
 from overtone.report.validity import validity_in, validity_tables
 
@@ -56,6 +58,43 @@ def write_report(report: Report, path: str | Path) -> Path:
 
 def render(report: Report) -> str:
     """Return the HTML text of a report; everything in it that came from a file is escaped."""
+    return lay_out(
+        report,
+        list(_pictures(report)),
+        calibration=_calibration(report),
+        status=(status_shares(report.properties), *validity_tables(report.properties))
+        if report.properties
+        else (),
+        date=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+    )
+
+
+def lay_out(
+    report: Report,
+    figures: Sequence[Picture],
+    *,
+    calibration: _Calibration | None = None,
+    status: Sequence[Table] = (),
+    methods: Sequence[str] = (),
+    date: str = "",
+) -> str:
+    """Return the HTML text of a page: texts, tables, metadata and history of a report, with these figures.
+
+    Parameters
+    ----------
+    report : Report
+        Whose findings, tables and datasets are told of.
+    figures : sequence of Picture
+        In the order to be seen.
+    calibration : optional
+        What is said of calibration and correction.
+    status : sequence of Table
+        What the pixels can be trusted for.
+    methods : sequence of str
+        Paragraphs on how the results were made.
+    date : str
+        When; left out where not given.
+    """
     environment = Environment(
         autoescape=True,
         undefined=StrictUndefined,
@@ -66,19 +105,18 @@ def render(report: Report) -> str:
     source = files("overtone.report").joinpath("page.html.j2").read_text(encoding="utf-8")
     return environment.from_string(source).render(
         report=report,
-        figures=list(_pictures(report)),
-        calibration=_calibration(report),
-        status=(status_shares(report.properties), *validity_tables(report.properties))
-        if report.properties
-        else (),
+        figures=figures,
+        calibration=calibration,
+        status=status,
+        methods=methods,
         records=list(_records(report)),
         version=__version__,
-        date=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        date=date,
     )
 
 
 @dataclass(frozen=True)
-class _Picture:
+class Picture:
     """A figure as it stands in the page."""
 
     title: str
@@ -93,7 +131,7 @@ class _Calibration:
     source: str
     findings: tuple[str, ...]
     tables: tuple[Table, ...]
-    figures: tuple[_Picture, ...]
+    figures: tuple[Picture, ...]
 
 
 def _calibration(report: Report) -> _Calibration | None:
@@ -102,10 +140,10 @@ def _calibration(report: Report) -> _Calibration | None:
     figures = []
     if known is not None and known.raw is not None and known.corrected is not None:
         figure = plots.calibration_figure(known.raw, known.corrected, known.calibration, known.far_field)
-        figures.append(_picture("Approach curve before and after", figure, captions.CURVE))
+        figures.append(picture_of("Approach curve before and after", figure, captions.CURVE))
     if report.before is not None:
         figure = plots.correction_figure(report.before, report.observables)
-        figures.append(_picture("Scan before and after", figure, captions.SCAN))
+        figures.append(picture_of("Scan before and after", figure, captions.SCAN))
     if known is None:
         return _Calibration("", (), (), tuple(figures)) if figures else None
     from overtone.report.summary import calibration_tables
@@ -115,25 +153,25 @@ def _calibration(report: Report) -> _Calibration | None:
     )
 
 
-def _pictures(report: Report) -> Iterator[_Picture]:
+def _pictures(report: Report) -> Iterator[Picture]:
     if report.properties:
-        yield _picture(
+        yield picture_of(
             "At a glance",
             plots.overview_figure(report),
             _glance(report),
         )
-    yield _picture(
+    yield picture_of(
         "Observables",
         plots.observables_figure(report.observables),
         ("What the microscope recorded" if report.before is None else "Corrected observables")
         + "; colours run from the 2nd to the 98th percentile in every map.",
     )
-    yield _picture(
+    yield picture_of(
         "Force harmonics",
         plots.forces_figure(report.energies),
         "Fourier coefficients of the force on the tip, conservative (cosine) and dissipative (sine).",
     )
-    yield _picture(
+    yield picture_of(
         "Energy",
         plots.energy_figure(report.energies),
         "Energy lost per cycle and virial, which follow from amplitude and phase alone, without a contact model.",
@@ -148,27 +186,32 @@ def _glance(report: Report) -> str:
     return f"{text}{captions.GREY}" + (f" {captions.STEPS}" if stepped else "")
 
 
-def _property_pictures(label: str, result: xr.Dataset, report: Report) -> Iterator[_Picture]:
+def _property_pictures(label: str, result: xr.Dataset, report: Report) -> Iterator[Picture]:
     """Yield what there is to see of one inversion, with the words of its method."""
     method = method_of(result)
     caption = {POSTERIOR: captions.INTERVALS, EXACT: captions.SOLUTIONS}.get(method, captions.ESTIMATES)
     if method != LEAST_SQUARES and bool(undetermined(result).all()):
         caption = f"{captions.NOWHERE} {caption}"
-    yield _picture(f"Properties from {label}", plots.properties_figure(label, result), caption)
+    yield picture_of(f"Properties from {label}", plots.properties_figure(label, result), caption)
     if method == POSTERIOR:
-        yield _picture(f"Certainty from {label}", plots.certainty_figure(label, result), captions.CERTAINTY)
+        yield picture_of(f"Certainty from {label}", plots.certainty_figure(label, result), captions.CERTAINTY)
+    if is_pooled(result):
+        yield picture_of(f"Phases from {label}", phases_figure(result), captions.PHASES)
+        if result.sizes["material"] and result.sizes.get("row", 0):
+            yield picture_of(f"Predictive check from {label}", prediction_figure(result), captions.CHECK)
     if validity_in(result):
-        yield _picture(f"Validity from {label}", plots.validity_figure(label, result), captions.VALIDITY)
-    yield _picture(
+        yield picture_of(f"Validity from {label}", plots.validity_figure(label, result), captions.VALIDITY)
+    yield picture_of(
         f"Distributions from {label}",
         plots.histogram_figure(label, result, report.truth, report.materials),
         captions.BARS if method == POSTERIOR else captions.COUNTS,
     )
 
 
-def _picture(title: str, figure: Figure, caption: str) -> _Picture:
+def picture_of(title: str, figure: Figure, caption: str) -> Picture:
+    """Return a figure as it stands in the page, its picture within the text."""
     data = base64.b64encode(plots.png_bytes(figure)).decode("ascii")
-    return _Picture(title, caption, f"data:image/png;base64,{data}")
+    return Picture(title, caption, f"data:image/png;base64,{data}")
 
 
 @dataclass(frozen=True)
@@ -193,7 +236,9 @@ class _Record:
 
 
 def _records(report: Report) -> Iterator[_Record]:
-    datasets = {"Observables": report.observables, "Forces and energies": report.energies}
+    datasets = {"Observables": report.observables}
+    if report.energies.data_vars:
+        datasets["Forces and energies"] = report.energies
     datasets |= {f"Properties from {label}": result for label, result in report.properties.items()}
     if report.truth is not None:
         datasets["Truth of the simulation"] = report.truth

@@ -21,8 +21,10 @@ from overtone.report.results import (
     EXACT,
     POSTERIOR,
     PROPERTIES,
+    alone,
     estimate_of,
     interval_of,
+    is_pooled,
     method_of,
     properties_in,
     undetermined,
@@ -119,6 +121,7 @@ def _posterior_table(label: str, result: xr.Dataset) -> Table:
             _held(result),
             "5 .. 95 % is how pixels differ; how well one is known is its interval. The part of the whole scan is the "
             "same for all pixels and does not average out, so no error of a mean is given.",
+            _by_itself(result, names),
             _models(result),
             _reason(result),
         ),
@@ -197,6 +200,28 @@ def _allowed(result: xr.Dataset, names: tuple[str, ...]) -> str:
         return ""
     lower, upper = (median_of(flat(end, result), unit_of(end)) for end in interval)
     return f"At 90 %, the data of a typical pixel allow a {PROPERTIES[names[0]]} from {lower} to {upper}."
+
+
+def _by_itself(result: xr.Dataset, names: tuple[str, ...]) -> str:
+    """Say how much of a pooled interval comes from the phase of a pixel."""
+    if not is_pooled(result) or not names or f"{names[0]}_unpooled_lower" not in result:
+        return ""
+    own, unit = alone(result), unit_of(result[f"{names[0]}_unpooled"])
+    inside = flat(result["phase"], result) >= 0
+    if not inside.any():
+        return ""
+    said = []
+    for dataset in (own, result):
+        interval = interval_of(dataset, names[0])
+        if interval is None:
+            return ""
+        lower, upper = (flat(end, result)[inside] for end in interval)
+        said.append(interval_text(lower, upper, unit))
+    return (
+        f"Of pixels of a phase, a typical {PROPERTIES[names[0]]} by itself has an interval of {said[0]}, "
+        f"pooled with its phase of {said[1]}; by itself {percent(float((~undetermined(own)).mean()))} of all pixels "
+        "would be determined."
+    )
 
 
 def _models(result: xr.Dataset) -> str:

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
+from overtone.inversion.result import WIDEST_DETERMINED
 from overtone.report.shares import flags
 
 LEAST_SQUARES, EXACT, POSTERIOR = "least-squares", "exact", "posterior"
@@ -44,6 +45,40 @@ def method_of(result: xr.Dataset) -> str:
     if "solutions" in result:
         return EXACT
     return POSTERIOR if "misfit" in result or "log_evidence" in result else LEAST_SQUARES
+
+
+def is_pooled(result: xr.Dataset) -> bool:
+    """Tell whether a result has phases and their materials, as method ``population`` makes them."""
+    return "phase" in result and "material" in result.dims
+
+
+def alone(result: xr.Dataset) -> xr.Dataset:
+    """Return what the pixels of a pooled result say without their phases, as the posterior of each by itself.
+
+    A pixel counts as determined here where its interval spans less than a factor of ten, which is what its status
+    was, but for a model that does not fit.
+    """
+    arrays = {}
+    for name in properties_in(result):
+        for of_it, in_it in (
+            ("_unpooled", "_unscreened"),
+            ("_unpooled_lower", "_lower"),
+            ("_unpooled_upper", "_upper"),
+        ):
+            if f"{name}{of_it}" in result:
+                arrays[f"{name}{in_it}"] = result[f"{name}{of_it}"].rename(f"{name}{in_it}")
+    status = result["status"].copy()
+    codes = {meaning: flag for flag, meaning in flags(status).items()}
+    leading = next(iter(properties_in(result)), "")
+    if f"{leading}_lower" in arrays and "determined" in codes:
+        low, high = (arrays[f"{leading}_{end}"].transpose(*status.dims).values for end in ("lower", "upper"))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            narrow = np.log(high / low) <= WIDEST_DETERMINED
+        pooled = result["phase"].transpose(*status.dims).values >= 0
+        other = codes.get("not determined by these data", codes["determined"])
+        status.values = np.where(pooled, np.where(narrow, codes["determined"], other), status.values)
+    attributes = {**result.attrs, "method": POSTERIOR}
+    return xr.Dataset({**arrays, "misfit": result["misfit"], "status": status}, attrs=attributes)
 
 
 def undetermined(result: xr.Dataset) -> xr.DataArray:

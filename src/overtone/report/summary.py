@@ -14,9 +14,11 @@ from overtone.instrument.correct import calibration_of
 from overtone.instrument.gates import GATE, Gate
 from overtone.instrument.unknowns import UNKNOWNS
 from overtone.report.content import Report, Table
+from overtone.report.materials import materials_table
 from overtone.report.numbers import median_of, percent, range_of
 from overtone.report.property_tables import property_table
-from overtone.report.truth_tables import truth_properties_table, truth_table
+from overtone.report.results import is_pooled
+from overtone.report.truth_tables import truth_materials_table, truth_properties_table, truth_table
 from overtone.report.validity import validity_tables
 from overtone.units import format_quantity
 
@@ -26,6 +28,8 @@ __all__ = [
     "gate_table",
     "property_table",
     "regime_shares",
+    "result_tables",
+    "truth_materials_table",
     "truth_properties_table",
     "truth_table",
     "unknown_table",
@@ -34,6 +38,11 @@ __all__ = [
 
 _TIGHTEST = 3
 _UNITS = {unknown.name: unknown.unit for unknown in UNKNOWNS}
+
+
+def result_tables(label: str, result: xr.Dataset) -> list[Table]:
+    """Return the tables of one inversion: its materials where it has some, and its pixels."""
+    return [*([materials_table(result)] if is_pooled(result) else []), property_table(label, result)]
 
 
 def energy_table(energies: xr.Dataset, others: Sequence[xr.Dataset] = ()) -> Table:

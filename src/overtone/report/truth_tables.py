@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -13,17 +13,21 @@ import xarray as xr
 from overtone.inversion.properties import DETERMINED, POOR_RESIDUAL
 from overtone.quantities import quantity
 from overtone.report.content import Table
+from overtone.report.materials import interval
 from overtone.report.numbers import flat, interval_text, median_of, percent, range_of, unit_of
 from overtone.report.property_tables import FEW
 from overtone.report.results import (
     LEAST_SQUARES,
     PROPERTIES,
+    alone,
     estimate_of,
     interval_of,
+    is_pooled,
     method_of,
     properties_in,
     undetermined,
 )
+from overtone.units import format_quantity
 
 _MAJORITY = 0.5
 
@@ -44,7 +48,7 @@ def truth_table(properties: Mapping[str, xr.Dataset], truth: xr.Dataset, materia
         return _estimator_table(properties, truth, materials)
     rows = []
     for i, material in enumerate(materials):
-        for label, result in properties.items():
+        for label, result in _with_pixels_alone(properties):
             leading = next(iter(properties_in(result)), "")
             if leading not in truth:
                 continue
@@ -54,7 +58,7 @@ def truth_table(properties: Mapping[str, xr.Dataset], truth: xr.Dataset, materia
                 (
                     material,
                     label,
-                    method_of(result),
+                    str(result.attrs.get("method", method_of(result))),
                     median_of(found.true, found.unit),
                     *found.cells,
                     f"{percent(share)}: {'can tell' if share >= _MAJORITY else 'cannot tell'}",
@@ -83,7 +87,7 @@ def truth_properties_table(
     rows = []
     for name in PROPERTIES:
         for i, material in enumerate(materials):
-            for label, result in properties.items():
+            for label, result in _with_pixels_alone(properties):
                 if name not in properties_in(result)[1:] or name not in truth:
                     continue
                 found = _compared(result, truth, name, i)
@@ -92,6 +96,75 @@ def truth_properties_table(
                 )
     columns = ("property", "material", "from", "truth", *_COMPARED)
     return Table("Other properties beside the truth", columns, tuple(rows), note=_COMPARED_NOTE)
+
+
+def truth_materials_table(
+    properties: Mapping[str, xr.Dataset], truth: xr.Dataset, materials: tuple[str, ...]
+) -> Table | None:
+    """Return the medians of phases beside the truth, a line a material; None where no result has phases.
+
+    Parameters
+    ----------
+    properties : mapping of str to Dataset
+        Results of `overtone.map_properties` by label.
+    truth : Dataset
+        What the simulation started from, with ``material``.
+    materials : tuple of str
+        Names of the materials.
+    """
+    pooled = {label: result for label, result in properties.items() if is_pooled(result)}
+    if not pooled:
+        return None
+    rows = [
+        (material, label, *_of_its_phase(result, truth, i))
+        for i, material in enumerate(materials)
+        for label, result in pooled.items()
+    ]
+    return Table(
+        "Materials beside the truth",
+        ("material", "from", "phase", "truth", "median", "90 % interval", "pooled 90 % interval holds"),
+        tuple(rows),
+        note="The modulus of the median of a phase. The truth is the median of what the pixels of the phase started "
+        "from.",
+    )
+
+
+def _of_its_phase(result: xr.Dataset, truth: xr.Dataset, material: int) -> tuple[str, str, str, str, str]:
+    """Return phase, truth, median, interval, and whether it holds the truth, of the phase that is most a material."""
+    nothing = ("none of its own", "-", "-", "-", "-")
+    phase, kind = flat(result["phase"], result), flat(truth["material"], result)
+    mine = phase[(kind == material) & (phase >= 0)].astype(int)
+    if not mine.size:
+        return nothing
+    k = int(np.bincount(mine).argmax())
+    leading = next(iter(properties_in(result)), "modulus")
+    if float((kind[phase == k] == material).mean()) < _MAJORITY or leading not in truth:
+        return nothing
+    name = str(result["material"].values[k]).replace("_", " ")
+    unit = unit_of(truth[leading])
+    true = float(np.nanmedian(flat(truth[leading], result)[phase == k]))
+    if f"material_{leading}" not in result:
+        return (name, format_quantity(true, unit), "-", "-", "-")
+    middle, low, high = (
+        float(result[f"material_{leading}{end}"].values[k]) for end in ("", "_lower", "_upper")
+    )
+    if not np.isfinite([middle, low, high]).all():
+        return (name, format_quantity(true, unit), "-", "-", "-")
+    return (
+        name,
+        format_quantity(true, unit),
+        format_quantity(middle, unit),
+        interval(low, high, unit),
+        "yes" if low <= true <= high else "no",
+    )
+
+
+def _with_pixels_alone(properties: Mapping[str, xr.Dataset]) -> Iterator[tuple[str, xr.Dataset]]:
+    """Yield results by label, behind pooled ones what their pixels say by themselves."""
+    for label, result in properties.items():
+        yield label, result
+        if is_pooled(result):
+            yield "its pixels alone", alone(result)
 
 
 # --- intervals ----------------------------------------------------------------------------------------------------
