@@ -31,7 +31,7 @@ of each scan. What a model lacks stays as it is."""
 BY_MODULUS = 3
 """Where the derivative by ln E stands among those of a row."""
 
-_PASSES = 2  # of the motion, to be at rest
+_PASSES, _TO_REST = 2, 6  # of the motion, from one at rest beside it, and from any
 _NUDGES = 0.01  # steps of a derivative
 _OPEN = 0.2
 """Curvature of ln of what may vanish, at least: no step is longer than a factor of e or two."""
@@ -213,7 +213,8 @@ def correct_slopes(scene: Scene, k: int, x: float, v: _Floats, desk: Desk) -> No
     for s in range(scans):
         start = (k * scans + s) * rows
         desk.room.b[:] = desk.motions[k, s]
-        for _ in range(_PASSES):
+        # what is left of a motion that is not at rest would count as a slope
+        for _ in range(_TO_REST):
             rows_of_material(scene, k, s, x, v, desk.room, desk.work, f, desk.part)
         desk.motions[k, s] = desk.room.b
         _of_the_motion(scene, desk, here)

@@ -39,6 +39,7 @@ MOST_NODES = 240
 _DOWN = 14.0  # of ln of the density below its largest, where a profile ends
 _FIRST_STEP, _LONGEST_STEP, _SHORTEST_STEP = 0.02, 0.4, 1e-3
 _RETRACT = 12
+_SETTLING = 10  # passes of the motion at the start of a chain
 _ARRIVED, _LOST = 1e-8, 1e8  # squared length of what is left of a step, in the local metric
 _SAME = 1e-3  # squared distance, in the local metric, within which a step back ends where it began
 _TOO_FAR, _TOO_NEAR = 1.5, 0.4  # change of ln of the density between two places
@@ -378,6 +379,9 @@ def walk(
         here.u[m + k] = x0[k]
         for a in range(each):
             here.u[k * each + a] = v0[k, a]
+    for _ in range(_SETTLING):
+        all_rows(scene, x_now, v_now, desk)
+    here.motions[:] = desk.motions
     value = _look(scene, prior, sticky, loss, here, desk, x_now, v_now, P)
     accepted = 0
     for i in range(x.shape[0]):
