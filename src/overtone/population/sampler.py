@@ -268,6 +268,7 @@ def _follow(
 ) -> bool:
     """Move the end of a step to where the harmonics have gone as far as is its goal; return whether that was found."""
     n = end.u.shape[0]
+    J, M, scale = np.zeros(start.J.shape), np.zeros((n, n)), np.zeros(n)
     for _ in range(_RETRACT):
         finite = True
         for a in range(n):
@@ -283,10 +284,25 @@ def _follow(
         off[:] = goal - start.J.T @ (scene.precision @ (desk.f - start.f))
         for a in range(n):
             off[a] -= P[a] * (end.u[a] - start.u[a])
-        _solve(start.L, off, work)
+        # Newton's method, with the slopes of where it is
+        m = desk.J.shape[1]
+        J[:, :m], J[:, m:] = desk.J, desk.J_x
+        M[:] = start.J.T @ (scene.precision @ J)
+        for a in range(n):
+            M[a, a] += P[a]
+            scale[a] = 0.0
+            for c in range(a + 1):
+                scale[a] += start.L[a, c] ** 2
+            scale[a] = math.sqrt(scale[a])
+        if not math.isfinite(M.sum()):
+            return False
+        work[:] = np.linalg.solve(M / np.outer(scale, scale), off / scale) / scale
         length = 0.0
         for a in range(n):
-            length += work[a] * off[a]
+            along = 0.0
+            for c in range(a, n):
+                along += start.L[c, a] * work[c]
+            length += along * along
             end.u[a] += work[a]
         if not length < _LOST:
             return False
