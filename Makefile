@@ -28,6 +28,8 @@ picture:  ## the picture of the README, made by the program
 
 validation:  ## figures and tables of the pages that check, each made by its script
 	python docs/validation.py
+	python docs/blend.py
+	python benchmarks/worlds.py --worlds 300
 	python docs/instruments.py
 	python docs/posterior.py
 	python docs/identifiability.py

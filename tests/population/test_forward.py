@@ -75,9 +75,7 @@ def unknowns(materials=MATERIALS, scans=2):
 def rows_at(q, x, v, *, references=(), corrected=False):
     materials, scans = len(x), v.shape[1] - FIRST_DEPTH
     size = materials * scans * q.rows.orders.size + len(references)
-    scene = q.scene(
-        np.zeros(size), np.eye(size), AMPLITUDE[:materials, :scans], UNIT, references
-    )
+    scene = q.scene(np.zeros(size), np.eye(size), AMPLITUDE[:materials, :scans], UNIT, references)
     f, J, J_x = np.empty(size), np.empty((size, v.size)), np.zeros((size, materials))
     on_the_desk(scene, x, v, corrected, f, J, J_x)
     return f, J, J_x
@@ -94,7 +92,9 @@ def theirs(material, amplitude, indentation, *, full):
     values = {"modulus": modulus, "adhesion": adhesion, "viscosity": viscosity_of(modulus, tangent)}
     if full:
         solid = sample("dmt-viscous", poisson_ratio=POISSON, **values)
-        f = indented_states(PROBE, solid, amplitude=[amplitude], indentation=[indentation], n_max=FEW).force[0]
+        f = indented_states(PROBE, solid, amplitude=[amplitude], indentation=[indentation], n_max=FEW).force[
+            0
+        ]
     else:
         f = force_harmonics(
             "dmt-viscous",
@@ -142,7 +142,8 @@ def test_slopes_are_those_of_the_rows():
 
     def difference(dx, dv):
         return (
-            rows_at(q, x + dx, v + dv, references=[2, 0])[0] - rows_at(q, x - dx, v - dv, references=[2, 0])[0]
+            rows_at(q, x + dx, v + dv, references=[2, 0])[0]
+            - rows_at(q, x - dx, v - dv, references=[2, 0])[0]
         ) / (2.0 * step)
 
     none_x, none_v = np.zeros_like(x), np.zeros_like(v)
@@ -170,7 +171,9 @@ def log_posterior(q, scene, x, v):
     f, _, _ = rows_at(q, x, v)
     off = f - scene.centre
     F = np.exp(v[:, ADHESION]) * UNIT
-    prior = -0.5 * q.prior.adhesion_precision * (F - q.prior.adhesion_mean) ** 2 + v[:, ADHESION] + v[:, TANGENT]
+    prior = (
+        -0.5 * q.prior.adhesion_precision * (F - q.prior.adhesion_mean) ** 2 + v[:, ADHESION] + v[:, TANGENT]
+    )
     # ln of the indentation is uniform: d ln Delta/dt = 1 - Delta
     Delta = 1.0 / (1.0 + np.exp(-v[:, FIRST_DEPTH:]))
     return -0.5 * off @ scene.precision @ off + prior.sum() + np.log(1.0 - Delta).sum()

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from overtone.contact.evaluate import force_harmonics
 from overtone.contact.models import contact_model
 from overtone.contact.parameters import effective_modulus
 from overtone.contact.sample import sample
@@ -42,25 +43,30 @@ NOISE = np.array([3.0, 0.6, 3.0, 7.0, 0.6, 3.0, 7.0]) * 1e-12 / UNIT
 LEVELS = np.array([0.05, 0.5, 0.95])
 
 
-def question(stated=None):
+def question(stated=None, harmonics=FEW):
     rows, _ = rows_of(CONS, DISS)
     priors = for_kernel(complete_priors(stated, RECORD, PROBE.tip.radius), "modulus")
     columns = columns_of(RECORD, PROBE, {"poisson_ratio": POISSON})
-    return Question(columns, rows, follow(PROBE, (2, 3), FEW), priors)
+    return Question(columns, rows, follow(PROBE, (2, 3), harmonics), priors)
 
 
-def forces(material):
-    """Return the rows of a material by substitution of the motion [unit]."""
+def forces(material, *, full=True):
+    """Return the rows of a material by substitution of the motion, or on a bare cosine [unit]."""
     modulus, adhesion, tangent, depth = material
     E = effective_modulus(modulus, POISSON, PROBE.tip.modulus, PROBE.tip.poisson_ratio)
-    solid = sample(
-        "dmt-viscous",
-        modulus=modulus,
-        adhesion=adhesion,
-        viscosity=tangent * 2.0 * E / (2.0 * math.pi * PROBE.drive.frequency),
-        poisson_ratio=POISSON,
-    )
-    f = indented_states(PROBE, solid, amplitude=[A], indentation=[depth], n_max=FEW).force[0]
+    values = {
+        "modulus": modulus,
+        "adhesion": adhesion,
+        "viscosity": tangent * 2.0 * E / (2.0 * math.pi * PROBE.drive.frequency),
+        "poisson_ratio": POISSON,
+    }
+    if full:
+        solid = sample("dmt-viscous", **values)
+        f = indented_states(PROBE, solid, amplitude=[A], indentation=[depth], n_max=FEW).force[0]
+    else:
+        values |= {"tip_modulus": PROBE.tip.modulus, "tip_poisson_ratio": PROBE.tip.poisson_ratio}
+        values |= {"radius": PROBE.tip.radius, "frequency": PROBE.drive.frequency}
+        f = force_harmonics("dmt-viscous", amplitude=A, indentation=depth, **values)
     return np.concatenate([f.real[list(CONS)], -f.imag[list(DISS)]]) / UNIT
 
 
@@ -104,7 +110,7 @@ def pixel(q, y, covariance):
         q.rows.lossy,
         np.array([1]),
         q.prior,
-        follow(PROBE, (), FEW),
+        follow(PROBE, (), max(q.followed.tip.size - 1, 0)),
         np.zeros((count, 0), complex),
         np.zeros((count, size)),
         np.zeros(count),
@@ -128,10 +134,16 @@ def walked(q, told, part, steps, stride=0.5, seed=1):
 
 @pytest.fixture(scope="module", params=list(MATERIALS))
 def alone(request):
-    """One material, measured once; the quadrature of a pixel says what its posterior is."""
-    q = question()
+    """One material, measured once; the quadrature of a pixel says what its posterior is.
+
+    The stiff one on a bare cosine: its draws hang together, and many are needed.
+    """
+    full = request.param == "soft"
+    q = question(harmonics=FEW if full else 0)
     sigma = NOISE * {"stiff": 0.3, "soft": 1.0}[request.param]
-    y = forces(MATERIALS[request.param]) + sigma * np.random.default_rng(5).standard_normal(NOISE.size)
+    y = forces(MATERIALS[request.param], full=full) + sigma * np.random.default_rng(5).standard_normal(
+        NOISE.size
+    )
     told = evidence(y, np.diag(sigma**2), np.zeros((NOISE.size, 0)))
     parts = profiles_of(q, told, np.array([[A]]), ())
     assert parts is not None
@@ -140,7 +152,7 @@ def alone(request):
 
 def test_draws_of_one_material_are_those_of_the_quadrature_over_a_pixel(alone):
     q, told, part, want = alone
-    x, v, f = walked(q, told, part, 40000)
+    x, v, f = walked(q, told, part, 20000 if q.followed.tip.size else 240000)
     Delta = 1.0 / (1.0 + np.exp(-v[:, FIRST_DEPTH]))
     for values, truth in (
         (x, want[MODULUS_]),
@@ -157,13 +169,14 @@ def test_draws_of_one_material_are_those_of_the_quadrature_over_a_pixel(alone):
     assert 2.0 < np.median((off**2).sum(axis=1)) < 20.0
 
 
-def test_however_long_the_steps_the_draws_are_the_same(alone):
-    """A step that cannot be taken back would make draws lean to where such steps lead."""
+@pytest.mark.parametrize("alone", ["soft"], indirect=True)
+@pytest.mark.parametrize("stride", [0.5, 1.2])
+def test_however_long_the_steps_the_draws_are_the_same(alone, stride):
+    """A step that cannot be taken back would make draws lean to where such steps lead: by 6 % of the width, if long."""
     q, told, part, want = alone
     width = want[MODULUS_, 2] - want[MODULUS_, 0]
-    for stride in (0.35, 1.0):
-        x, _, _ = walked(q, told, part, 40000, stride, seed=2)
-        np.testing.assert_allclose(np.quantile(x, LEVELS), want[MODULUS_], rtol=0, atol=0.1 * width)
+    x, _, _ = walked(q, told, part, 20000, stride, seed=2)
+    np.testing.assert_allclose(np.quantile(x, LEVELS), want[MODULUS_], rtol=0, atol=0.04 * width)
 
 
 def test_the_profile_of_a_material_is_that_of_the_quadrature(alone):
@@ -191,7 +204,8 @@ def test_chains_are_accepted_agree_and_are_the_same_for_the_same_seed(alone):
     for d in (first, second):
         assert np.median(d.ln_E) == pytest.approx(want[MODULUS_, 1], rel=0, abs=0.25 * width)
         got = np.quantile(d.ln_E, 0.95) - np.quantile(d.ln_E, 0.05)
-        assert got == pytest.approx(width, rel=0.35, abs=0)
+        # of a stiff one few draws are independent, and its open end is reached slowly
+        assert got == pytest.approx(width, rel=0.3 if width < 1.0 else 0.5, abs=0)
 
 
 def test_two_materials_share_what_the_calibration_left_open():

@@ -69,7 +69,9 @@ def straight(y, covariance, draws=200, seed=0, radius=(0.1,), shift=None):
     scene = QUESTION.scene(evidence.centre, evidence.precision, amplitude, UNIT, [])
     at = CENTRE + u
     unknowns = np.empty((draws, phases, FIRST_DEPTH + 1))
-    unknowns[..., ADHESION], unknowns[..., TANGENT], unknowns[..., FIRST_DEPTH] = np.moveaxis(at[..., 1:], -1, 0)
+    unknowns[..., ADHESION], unknowns[..., TANGENT], unknowns[..., FIRST_DEPTH] = np.moveaxis(
+        at[..., 1:], -1, 0
+    )
     found = Draws(
         at[..., 0],
         unknowns,
@@ -103,9 +105,11 @@ def material(joint, place=0, *, reference=False, resolved=True):
     return Material(place, 400, 3, resolved, reference, joint, place)
 
 
-def table(materials, names=None, known=None, anchored=False):
+def table(materials, names=None, known=None, anchored=False, calibrated=True):
     names = names or [f"phase_{i + 1}" for i in range(len(materials))]
-    return materials_of(materials, names, QUESTION, ROWS, EXPONENT, known or {}, "as given", anchored)
+    return materials_of(
+        materials, names, QUESTION, ROWS, EXPONENT, known or {}, "as given", anchored, calibrated
+    )
 
 
 @pytest.fixture(scope="module")
@@ -155,7 +159,7 @@ def test_nine_in_ten_harmonics_are_where_the_others_say(worlds):
 
 
 def test_a_harmonic_that_is_off_shows(worlds):
-    y, C = worlds
+    _, C = worlds
     random = np.random.default_rng(2)
     true = J @ np.array([0.3, -0.2, 0.1, 0.2])
     one = true + 0.1 * np.linalg.cholesky(C) @ random.standard_normal(SIZE)
@@ -212,7 +216,11 @@ def test_what_phases_share_drops_out_of_their_ratio():
     joint = straight(y, covariance(0.002), draws=400, shift=0.5, radius=(0.2,))
     arrays = table([material(joint, 0, reference=True), material(joint, 1)], known={0: (21.0, 0.01)}).arrays
     np.testing.assert_allclose(arrays["material_modulus_ratio"], [1.0, math.exp(0.7)], rtol=0.01)
-    assert float(arrays["material_modulus_ratio_lower"][0]) == 1.0 == float(arrays["material_modulus_ratio_upper"][0])
+    assert (
+        float(arrays["material_modulus_ratio_lower"][0])
+        == 1.0
+        == float(arrays["material_modulus_ratio_upper"][0])
+    )
     ratio = np.log(arrays["material_modulus_ratio_upper"] / arrays["material_modulus_ratio_lower"])[1]
     whole = np.log(arrays["material_modulus_upper"] / arrays["material_modulus_lower"])[1]
     assert float(ratio) < 0.1 * float(whole)
@@ -227,7 +235,9 @@ def test_a_reference_that_anchored_the_scan_counts_with_its_own_error():
     sample = Material(1, 400, 1, True, False, other, 0)
     arrays = table([reference, sample], known=known, anchored=True).arrays
     assert float(arrays["material_modulus_ratio"][1]) == pytest.approx(math.e, rel=0.02, abs=0)
-    half = 0.5 * float(np.log(arrays["material_modulus_ratio_upper"] / arrays["material_modulus_ratio_lower"])[1])
+    half = 0.5 * float(
+        np.log(arrays["material_modulus_ratio_upper"] / arrays["material_modulus_ratio_lower"])[1]
+    )
     assert half == pytest.approx(1.645 * math.hypot(0.2, 0.05), rel=0.05, abs=0)
 
 
@@ -242,13 +252,18 @@ def test_every_verdict_is_reached():
     open_ = straight(np.zeros((2, SIZE)), covariance(1.0), radius=(0.1,))
     known = {0: (CENTRE[0], 0.05)}
     assert verdict([material(sharp, 0), material(sharp, 1)])[0] == ABSOLUTE
+    told, why = verdict([material(sharp, 0), material(sharp, 1)], calibrated=False)
+    assert told == CONTRAST
+    assert "no calibration" in why
     told, why = verdict([material(shared, 0), material(shared, 1)])
     assert told == CONTRAST
     assert "no reference" in why
     told, why = verdict([material(shared, 0, reference=True), material(shared, 1)], known=known)
     assert told == RELATIVE
     assert "inferred together" in why
-    told, why = verdict([material(shared, 0, reference=True), material(shared, 1)], known=known, anchored=True)
+    told, why = verdict(
+        [material(shared, 0, reference=True), material(shared, 1)], known=known, anchored=True
+    )
     assert "anchored" in why
     told, why = verdict([material(open_, 0, reference=True), material(open_, 1)], known=known)
     assert told == CONTRAST

@@ -279,7 +279,9 @@ def map_properties(
     if materials is not None:
         result = result.assign(materials.arrays).assign_attrs(materials.attributes)
         if doubts:
-            result = result.assign_attrs(verdict="contrast", verdict_reason=str(attributes["cannot_conclude"]))
+            result = result.assign_attrs(
+                verdict="contrast", verdict_reason=str(attributes["cannot_conclude"])
+            )
         of_all = shared_priors(priors, candidates[0].priors, probe.tip.radius)
         stated |= {"shared_priors": format_priors(of_all)}
         stated |= {"phases": "given" if isinstance(phases, xr.DataArray) else phases, "seed": seed}
