@@ -296,7 +296,7 @@ def test_doubts_of_the_reading_leave_nothing_determined(clean: tuple[xr.Dataset,
 @pytest.mark.parametrize(
     ("change", "error", "match"),
     [
-        ({"method": "magic"}, InversionError, "unknown method.*posterior, exact, least-squares"),
+        ({"method": "magic"}, InversionError, "unknown method.*posterior, population, exact, least-squares"),
         ({"motion": "sine"}, InversionError, "unknown motion.*full or cosine"),
         ({"dtype": "int8"}, InversionError, "float64 or float32"),
         ({"model": "jkr"}, InversionError, "'jkr' cannot be inverted.*dmt-viscous"),
