@@ -9,8 +9,9 @@ import numpy as np
 import xarray as xr
 
 from overtone import provenance
+from overtone.demo import demo_probe
 from overtone.inversion.result import STATUS_FLAGS
-from overtone.probe import Probe, format_probe
+from overtone.probe import format_probe
 from overtone.quantities import named_array, quantity
 from overtone.readings import Reading, with_reading
 
@@ -40,17 +41,6 @@ PRIORS = (
     "loss_tangent range 0 2"
 )
 ROWS = ("CONS_0", "CONS_1", "CONS_2", "CONS_3", "DISS_1", "DISS_2")
-
-
-def probe() -> Probe:
-    return Probe.simple(
-        stiffness=16.4,
-        frequency=161.8e3,
-        quality_factor=287.0,
-        radius=10e-9,
-        drive_frequency=161.8e3,
-        free_amplitude=94e-9,
-    )
 
 
 def coords(size: int = SIZE) -> dict[str, tuple[str, np.ndarray]]:
@@ -87,7 +77,7 @@ def observables(phases: int = 2, seed: int = 1, size: int = SIZE) -> xr.Dataset:
     y, x = np.mgrid[:size, :size] / size
     height = height + 6e-9 * np.sin(7 * x + 3 * y) + 20e-9 * x
     arrays["height"] = named_array("height", height, ("y", "x"), coords(size))
-    found = with_reading(xr.Dataset(arrays), Reading(probe(), corrected=True))
+    found = with_reading(xr.Dataset(arrays), Reading(demo_probe(), corrected=True))
     found = provenance.add_finding(found, "Simulated data, made by hand.")
     return provenance.record(found, "open_scan", path="session/blend.ibw")
 
@@ -109,7 +99,7 @@ def before(scan: xr.Dataset) -> xr.Dataset:
 def energies(scan: xr.Dataset) -> xr.Dataset:
     from overtone.inversion.properties import map_energy
 
-    return map_energy(scan, probe())
+    return map_energy(scan, demo_probe())
 
 
 def truth(phases: int = 2, size: int = SIZE) -> xr.Dataset:
@@ -183,7 +173,7 @@ def result(
     return provenance.record(
         found,
         "map_properties",
-        probe=format_probe(probe()),
+        probe=format_probe(demo_probe()),
         model="dmt-viscous",
         method="population",
         harmonics=(0, 1, 2, 3),
@@ -259,7 +249,7 @@ def calibrated(scan: xr.Dataset) -> xr.Dataset:
     names = ("A0_offset", "phi1_offset", "gain0", "gain2", "stiffness", "free_amplitude", "radius")
     errors = np.array([1.2e-12, math.radians(0.1), 0.004, 0.007, 0.05, 0.003, 0.1])
     record = Calibration(
-        probe=probe(),
+        probe=demo_probe(),
         amplitude=94e-9,
         values={**NEUTRAL, "A0_offset": 1.5e-9, "gain2": 0.93},
         names=names,

@@ -93,7 +93,7 @@ def straight(y, covariance, draws=200, seed=0, radius=(0.1,), shift=None):
         np.zeros((1, 3)),
     )
     response = Response(np.zeros(SIZE), J[:, :3], np.zeros((SIZE, 3, 3)), np.zeros((1, 3)), J[:, 3:])
-    return Joint((tiles,) * phases, (SPREAD,) * phases, (response,) * phases, evidence, (), found, ())
+    return Joint((tiles,) * phases, (SPREAD,) * phases, (response,) * phases, evidence, (), found)
 
 
 def covariance(size=0.02, seed=3):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -206,21 +206,21 @@ def arguments_of(told: Sample, observables: Any, poisson_ratio: float | None) ->
             region = read_plane(region, observables, _MASK)
         _check_region(region, observables)
         arguments["reference_pixels"] = region
-        arguments["reference"], remark = _at_the_ratio(told.reference, poisson_ratio)
+        arguments["reference"] = told.reference
+        remark = _at_the_ratio(told.reference, poisson_ratio)
     return arguments, remark
 
 
-def _at_the_ratio(reference: Any, poisson_ratio: float | None) -> tuple[Any, str]:
-    """Return a reference as a material of another Poisson's ratio of the same contact: E/(1 - nu^2) is what counts."""
+def _at_the_ratio(reference: Any, poisson_ratio: float | None) -> str:
+    """Say which modulus a reference of another Poisson's ratio stands for in the maps: E/(1 - nu^2) counts."""
     if poisson_ratio is None or reference.poisson_ratio == poisson_ratio:
-        return reference, ""
+        return ""
     modulus = reference.modulus * (1.0 - poisson_ratio**2) / (1.0 - reference.poisson_ratio**2)
-    said = (
+    return (
         f"All phases are mapped with Poisson's ratio {poisson_ratio:g}: {reference.name}, "
         f"{format_quantity(reference.modulus, 'Pa')} at {reference.poisson_ratio:g}, stands as "
         f"{format_quantity(modulus, 'Pa')}."
     )
-    return replace(reference, modulus=modulus, poisson_ratio=poisson_ratio), said
 
 
 def _check_region(region: Any, observables: Any) -> None:

@@ -213,7 +213,7 @@ def map_properties(
     setting = settings[0]
     sheet = Sheet(scans[0]["A1"], dtype)
     stated: dict[str, object] = {}
-    materials = None
+    materials, of_all = None, {}
     if method == "least-squares":
         map_least_squares(setting, records[0], columns[0], sheet, progress=progress)
     elif method == "exact":
@@ -246,12 +246,12 @@ def map_properties(
         if method == POPULATION:
             from overtone.population.population import Request, pool_scan
 
+            of_all = shared_priors(priors, candidates[0].priors, probe.tip.radius)
             materials = pool_scan(
                 settings,
                 scans,
-                records[0],
                 columns[0],
-                shared_priors(priors, candidates[0].priors, probe.tip.radius),
+                of_all,
                 probe,
                 candidates[0].exponent,
                 Request(phases, reference, reference_pixels, seed),
@@ -282,7 +282,6 @@ def map_properties(
             result = result.assign_attrs(
                 verdict="contrast", verdict_reason=str(attributes["cannot_conclude"])
             )
-        of_all = shared_priors(priors, candidates[0].priors, probe.tip.radius)
         stated |= {"shared_priors": format_priors(of_all)}
         stated |= {"phases": "given" if isinstance(phases, xr.DataArray) else phases, "seed": seed}
     return provenance.record(

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+import numpy.typing as npt
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.axes._base import _AxesBase
@@ -164,6 +165,11 @@ def _draw_veil(axes: Axes, veil: Mask) -> None:
     cover = np.zeros((*fine.shape, 4), np.uint8)
     cover[fine] = _VEIL
     cover[fine & (diagonal % period < 0.28 * period)] = _STRIPE
+    lay_over(axes, cover, "undetermined", zorder=2)
+
+
+def lay_over(axes: Axes, cover: npt.NDArray[np.uint8], name: str, *, zorder: float) -> None:
+    """Lay an image of colours with alpha (y, x, 4) over the map that axes show, within its limits."""
     limits = axes.get_xlim(), axes.get_ylim()
     overlay = axes.imshow(
         cover,
@@ -171,8 +177,8 @@ def _draw_veil(axes: Axes, veil: Mask) -> None:
         extent=axes.images[0].get_extent(),
         aspect=axes.get_aspect(),
         interpolation="nearest",
-        zorder=2,
+        zorder=zorder,
     )
-    overlay.set_gid("undetermined")
+    overlay.set_gid(name)
     axes.set_xlim(limits[0])
     axes.set_ylim(limits[1])

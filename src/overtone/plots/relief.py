@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 
+from overtone.plots.maps import lay_over
 from overtone.plots.planes import plane_of
 from overtone.plots.scales import Array, Mask
 
@@ -35,18 +36,7 @@ def draw_relief(axes: Axes, height: xr.DataArray) -> None:
     cover = np.zeros((*shade.shape, 4), np.uint8)
     cover[shade > 0.0, :3] = 255
     cover[..., 3] = np.round(255.0 * _STRENGTH * np.abs(shade)).astype(np.uint8)
-    limits = axes.get_xlim(), axes.get_ylim()
-    overlay = axes.imshow(
-        cover,
-        origin="upper",
-        extent=axes.images[0].get_extent(),
-        aspect=axes.get_aspect(),
-        interpolation="nearest",
-        zorder=1,
-    )
-    overlay.set_gid("relief")
-    axes.set_xlim(limits[0])
-    axes.set_ylim(limits[1])
+    lay_over(axes, cover, "relief", zorder=1)
 
 
 def shading(height: Array) -> Array:

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from overtone.instrument.signals import Positions, Signals
+from overtone.instrument.signals import Positions
 from overtone.inversion.linear import stiffness
-from overtone.inversion.pixels import Setting, Shared
-from overtone.population.evidence import Tiles, sources_of
+from overtone.inversion.pixels import Setting
+from overtone.population.evidence import Tiles, reads_alike, sources_of
 from overtone.population.forward import ADHESION, FIRST_DEPTH, TANGENT
 from overtone.population.held import PROPERTIES
 from overtone.population.joint import Joint, free_properties, respond
@@ -39,17 +39,9 @@ def tilts(settings: Sequence[Setting], tiles: Tiles, members: npt.NDArray[np.int
         if setting.shared is None:
             parts.append(np.zeros((3, rows, 0)))
             continue
-        signals, centre = setting.shared.signals, tiles.place.mean(axis=0)
+        centre = tiles.place.mean(axis=0)
         places = np.concatenate([centre[None], centre + _STEP * np.eye(3)])
-        same = Shared(
-            setting.shared.calibration,
-            Signals(
-                np.full(4, signals.mean[members].mean()) if signals.mean is not None else None,
-                {n: np.full(4, a[members].mean()) for n, a in signals.phasor.items()},
-            ),
-            Positions(*places.T),
-        )
-        added, _ = sources_of(settings, i, same)
+        added, _ = sources_of(settings, i, reads_alike(setting.shared, members, Positions(*places.T)))
         parts.append((added[1:] - added[0]) / _STEP)
     return np.concatenate(parts, axis=1)
 

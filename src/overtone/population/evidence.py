@@ -144,7 +144,10 @@ def tiles_of(settings: Sequence[Setting], data: Harvest, members: _Indices, tile
         if setting.shared is None:
             changes.append(np.zeros((int(kept.sum()), rows, 0)))
             continue
-        shared = _averaged(setting.shared, members, inverse, count, kept)
+        where = Positions(
+            *((np.bincount(inverse, part[members]) / count)[kept] for part in setting.shared.where)
+        )
+        shared = reads_alike(setting.shared, members, where)
         if i == 0:
             place = np.stack([shared.where.height, shared.where.x, shared.where.y], axis=1)
         added, radius = sources_of(settings, i, shared)
@@ -210,27 +213,20 @@ def _positive(matrix: _Floats, scale: _Floats) -> _Floats:
     return np.asarray(part @ part.T)
 
 
-def _averaged(
-    shared: Shared, members: _Indices, inverse: _Indices, count: _Indices, kept: npt.NDArray[np.bool_]
-) -> Shared:
-    """Return tiles that all read as the phase does in the mean, each at its own place.
+def reads_alike(shared: Shared, members: _Indices, where: Positions) -> Shared:
+    """Return places that all read as a phase does in the mean.
 
     What a shared error does goes with the reading. Counted from the reading of each tile it would follow the scatter of
     the tiles, and seem to explain it.
     """
-    tiles = int(kept.sum())
-
-    def place(values: _Floats) -> _Floats:
-        return np.asarray((np.bincount(inverse, values[members]) / count)[kept])
-
-    signals = shared.signals
+    signals, count = shared.signals, where.height.size
     return Shared(
         shared.calibration,
         Signals(
-            np.full(tiles, signals.mean[members].mean()) if signals.mean is not None else None,
-            {n: np.full(tiles, a[members].mean()) for n, a in signals.phasor.items()},
+            np.full(count, signals.mean[members].mean()) if signals.mean is not None else None,
+            {n: np.full(count, a[members].mean()) for n, a in signals.phasor.items()},
         ),
-        Positions(*(place(part) for part in shared.where)),
+        where,
     )
 
 

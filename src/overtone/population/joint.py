@@ -53,8 +53,6 @@ class Joint:
         Each phase by itself.
     draws : Draws
         Of all together.
-    known : tuple of Known
-        Moduli that were given.
     """
 
     tiles: tuple[Tiles, ...]
@@ -63,7 +61,6 @@ class Joint:
     evidence: Evidence
     alone: tuple[Alone, ...]
     draws: Draws
-    known: tuple[Known, ...]
 
 
 class Held(NamedTuple):
@@ -138,7 +135,7 @@ def infer(
     if alone is None:
         return None
     draws = draw_materials(question, evidence, amplitude, known, alone, seed)
-    return Joint(tiles, tuple(spreads), tuple(responses), evidence, tuple(alone), draws, tuple(known))
+    return Joint(tiles, tuple(spreads), tuple(responses), evidence, tuple(alone), draws)
 
 
 def free_properties(question: Question) -> npt.NDArray[np.bool_]:

@@ -145,11 +145,6 @@ class Alone:
         """Return ln E below which a share lies."""
         return float(np.interp(share, self.below, self.ln_E))
 
-    @property
-    def spread(self) -> float:
-        """Half of the 68 % interval."""
-        return max(0.5 * (self.quantile(0.84) - self.quantile(0.16)), 1e-4)
-
     def at(self, share: float) -> tuple[float, _Floats]:
         """Return ln E below which a share lies, with the other unknowns there."""
         x = self.quantile(share)

@@ -16,8 +16,8 @@ import numpy.typing as npt
 import xarray as xr
 
 from overtone.blocks import run_blocks
-from overtone.contact.models import ContactModel
 from overtone.errors import InversionError
+from overtone.instrument.calibration import Calibration
 from overtone.instrument.material import Reference
 from overtone.instrument.reference import reference_pixels
 from overtone.inversion.columns import Columns
@@ -39,7 +39,7 @@ from overtone.population.joint import Joint, infer
 from overtone.population.materials import Question
 from overtone.population.phases import NONE, Phases, find_phases, labels_as_phases
 from overtone.population.pooled import QUANTILES, pool
-from overtone.population.table import Material, Materials, materials_of, verdict_of
+from overtone.population.table import Material, Materials, materials_of
 from overtone.probe import Probe
 
 _Floats = npt.NDArray[np.float64]
@@ -108,7 +108,6 @@ def split_scans(observables: xr.Dataset) -> list[xr.Dataset]:
 def pool_scan(
     settings: Sequence[Setting],
     scans: Sequence[xr.Dataset],
-    record: ContactModel,
     columns: Columns,
     priors: Mapping[str, Prior],
     probe: Probe,
@@ -125,8 +124,8 @@ def pool_scan(
     ----------
     settings, scans : sequence of Setting, of Dataset
         Scans of one area.
-    record, columns, priors, probe
-        The model, what it takes, what is known before, and the lever.
+    columns, priors, probe
+        The model, what is known before, and the lever.
     exponent : float
         Change of ln of the elastic unknown with ln R at a given force.
     request : Request
@@ -141,15 +140,12 @@ def pool_scan(
     like = scans[0]["A1"]
     data = harvest(settings)
     setting = settings[0]
-    first = next(iter(priors))
-    kernel_prior = for_kernel(priors, first)
-    even = "adhesion" in priors and priors["adhesion"].kind in (LOG_RANGE, LOG_NORMAL)
     question = Question(
         columns,
         setting.rows,
         follow(probe, setting.known, FEW if full_motion else 0),
-        kernel_prior,
-        even,
+        for_kernel(priors, next(iter(priors))),
+        even="adhesion" in priors and priors["adhesion"].kind in (LOG_RANGE, LOG_NORMAL),
     )
     names = quantities_of(question)
     for name in names:
@@ -161,12 +157,16 @@ def pool_scan(
     sheet.add("shrinkage", fill=0.0)
     sheet.add("phase", fill=NONE, dtype="int8")
     sheet.add("phase_probability", fill=0.0)
-    found = _phases(request, scans, data, settings)
+    found = _phases(request, like, data)
     label = found.label.ravel()
     sheet.values["phase"][:] = label
     sheet.values["phase_probability"][:] = found.probability.ravel()
     members = [np.flatnonzero((label == k) & data.usable) for k in range(found.count)]
-    which, known, anchored = _reference(request, scans[0], members, columns.contact.sample_factor)
+    calibration = setting.shared.calibration if setting.shared is not None else None
+    which, known, anchored = _reference(
+        request, scans[0], calibration, members, columns.contact.sample_factor
+    )
+    called = [_name(k, which, request, calibration) for k in range(found.count)]
     inner = [_away_from_edges(pixels, like.shape) for pixels in members]
     tile = _tile_numbers(like.shape)
     usual = [k for k in range(found.count) if len(members[k]) >= _FEWEST]
@@ -187,7 +187,6 @@ def pool_scan(
         materials.append(
             Material(k, len(members[k]), int(found.domains[k]), not merged, k == which, joint, place)
         )
-    done = 0
     for material in materials:
         if material.joint is None or not material.resolved:
             continue
@@ -195,23 +194,20 @@ def pool_scan(
         _pool_phase(
             settings, data, question, material, pixels, exponent, request.seed, sheet, names, progress
         )
-        done += len(pixels)
     sheet.attributes["phase"] = {
         "flag_values": [NONE, *range(found.count)],
-        "flag_meanings": " ".join(
-            ["none", *(_name(k, which, request, scans[0]) for k in range(found.count))]
-        ),
+        "flag_meanings": " ".join(["none", *called]),
     }
     return materials_of(
         materials,
-        [_name(k, which, request, scans[0]) for k in range(found.count)],
+        called,
         question,
         setting.rows,
         exponent,
         known,
         found.note.split("; ")[0].rstrip("."),
         anchored,
-        setting.shared is not None,
+        calibration is not None,
     )
 
 
@@ -243,16 +239,12 @@ def _inferred(
     return _inferred(settings, data, members, tile, question, kept, fine, seed)
 
 
-def _phases(
-    request: Request, scans: Sequence[xr.Dataset], data: Harvest, settings: Sequence[Setting]
-) -> Phases:
-    shape = scans[0]["A1"].shape
+def _phases(request: Request, like: xr.DataArray, data: Harvest) -> Phases:
     y = np.where(data.usable[:, None], data.y, math.nan)
-    features = y.reshape(*shape, -1)
+    features = y.reshape(*like.shape, -1)
     noise = _local_scatter(features, data.noise)
     if isinstance(request.phases, xr.DataArray):
         labels = request.phases
-        like = scans[0]["A1"]
         if set(labels.dims) != set(like.dims) or any(labels.sizes[d] != like.sizes[d] for d in like.dims):
             raise InversionError(
                 "the labels of the phases do not fit the scan",
@@ -288,17 +280,18 @@ def _local_scatter(features: _Floats, noise: _Floats) -> _Floats:
 
 
 def _reference(
-    request: Request, scan: xr.Dataset, members: Sequence[_Indices], sample_factor: float
+    request: Request,
+    scan: xr.Dataset,
+    calibration: Calibration | None,
+    members: Sequence[_Indices],
+    sample_factor: float,
 ) -> tuple[int, dict[int, tuple[float, float]], bool]:
     """Return which phase is the reference (-1 none), what is known of it, and whether it anchored the scan before.
 
     ``sample_factor`` is 1 - nu^2 of the map.
     """
-    from overtone.instrument.correct import calibration_of
-
     mask, anchored = None, False
     ratio, value, error = 0.0, None, 0.0
-    calibration = calibration_of(scan)
     if request.reference is not None:
         if request.reference.modulus is None:
             raise InversionError(
@@ -345,11 +338,8 @@ def _reference(
     return which, {which: (math.log(value), max(error, 1e-3))}, anchored
 
 
-def _name(k: int, which: int, request: Request, scan: xr.Dataset) -> str:
+def _name(k: int, which: int, request: Request, calibration: Calibration | None) -> str:
     if k == which:
-        from overtone.instrument.correct import calibration_of
-
-        calibration = calibration_of(scan)
         if request.reference is not None:
             return "_".join(request.reference.name.split())
         if calibration is not None and calibration.reference is not None:
@@ -391,9 +381,9 @@ def _wanders(joint: Joint, place: int) -> float:
     V = tiles.within / unit**2 / float(np.median(count)) + np.diag(
         _UNEXPLAINED * np.maximum(np.diag(between), 0.0)
     )
+    # a change of 1 in ln of every property alike beforehand
     J = response.J
-    prior = np.eye(J.shape[1])
-    G = prior @ J.T @ np.linalg.inv(J @ prior @ J.T + V)
+    G = J.T @ np.linalg.inv(J @ J.T + V)
     changes = G @ between @ G.T
     return math.sqrt(max(float(np.linalg.eigvalsh(changes)[-1]), 0.0))
 
@@ -466,6 +456,3 @@ def _pool_phase(
     with np.errstate(invalid="ignore", divide="ignore"):
         shrunk = 1.0 - (spreads[:, 0] / alone) ** 2
     sheet.put("shrinkage", pixels, np.clip(np.nan_to_num(shrunk), 0.0, 1.0))
-
-
-__all__ = ["Materials", "Request", "pool_scan", "split_scans", "verdict_of"]

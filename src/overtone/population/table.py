@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -27,9 +27,8 @@ _Floats = npt.NDArray[np.float64]
 _WIDE = np.array([4.0, 2.0, 2.0, 3.0])
 """Standard deviations of ln E, ln F_ad, ln tan and t before anything was measured, for the linear checks."""
 _UNLIKELY = 1e-3
-_NINETY = (
-    2.0 * 1.6448536269514722
-)  # standard deviations of a normal distribution that its 90 % interval spans
+_NINETY = 2.0 * 1.6448536269514722
+"""Standard deviations of a normal distribution that its 90 % interval spans."""
 
 
 @dataclass(frozen=True)
@@ -168,12 +167,12 @@ def materials_of(
     _ratios(materials, question, exponent, known, column)
     arrays = {name: _array(name, values, names) for name, values in columns.items()}
     for name, whole in (
-        ("material_pixels", [m.pixels for m in materials]),
-        ("material_domains", [m.domains for m in materials]),
-        ("material_resolved", [int(m.resolved) for m in materials]),
-        ("material_reference", [int(m.reference) for m in materials]),
+        ("material_pixels", np.array([m.pixels for m in materials], np.int64)),
+        ("material_domains", np.array([m.domains for m in materials], np.int64)),
+        ("material_resolved", np.array([m.resolved for m in materials], np.int8)),
+        ("material_reference", np.array([m.reference for m in materials], np.int8)),
     ):
-        arrays[name] = _array(name, np.array(whole, dtype=np.int64 if "s" in name[-2:] else np.int8), names)
+        arrays[name] = _array(name, whole, names)
     arrays |= _checks(materials, rows, names)
     verdict, reason = verdict_of(materials, columns, names, anchored)
     if not calibrated and verdict != CONTRAST:
@@ -208,15 +207,33 @@ def draws_of(question: Question, material: Material, exponent: float) -> dict[st
     return found
 
 
+def _data_of(joint: Joint, k: int) -> slice:
+    """Return where the harmonics of a phase stand among all."""
+    size = joint.tiles[k].y.shape[1]
+    return slice(k * size, (k + 1) * size)
+
+
+def _slopes(joint: Joint, k: int) -> tuple[_Floats, _Floats]:
+    """Return how the harmonics of a phase go with ln of its properties and its t, and how wide these are beforehand."""
+    J = np.concatenate([joint.responses[k].J, joint.responses[k].along], axis=1)
+    return J, np.concatenate([_WIDE[:PROPERTIES], np.full(J.shape[1] - PROPERTIES, _WIDE[-1])])
+
+
+def _best(joint: Joint, k: int) -> tuple[_Floats, _Floats]:
+    """Return how far the draw that fits a phase best is off its harmonics, and the precision of these."""
+    at = _data_of(joint, k)
+    W = inverse(joint.evidence.covariance[at, at])
+    off = joint.draws.forces[:, at] - joint.evidence.centre[at]
+    return off[int(np.argmin(np.einsum("di,ij,dj->d", off, W, off)))], W
+
+
 def _statistical(material: Material) -> dict[str, float]:
     """Return standard deviations of ln of the properties were the calibration known; to first order."""
     joint, k = material.joint, material.place
     assert joint is not None
-    size = joint.tiles[k].y.shape[1]
-    at = slice(k * size, (k + 1) * size)
-    J = np.concatenate([joint.responses[k].J, joint.responses[k].along], axis=1)
+    at = _data_of(joint, k)
+    J, wide = _slopes(joint, k)
     W = inverse(joint.evidence.statistical[at, at])
-    wide = np.concatenate([_WIDE[:PROPERTIES], np.full(J.shape[1] - PROPERTIES, _WIDE[-1])])
     covariance = inverse(J.T @ W @ J + np.diag(wide**-2.0))
     sd = np.sqrt(np.diag(covariance))
     return {"modulus": float(sd[0]), "adhesion": float(sd[1]), "loss_tangent": float(sd[2])}
@@ -224,17 +241,13 @@ def _statistical(material: Material) -> dict[str, float]:
 
 def _misfit(joint: Joint, k: int) -> float:
     """Return the least chi-squared of a phase by itself, linear about the best of its draws."""
-    size = joint.tiles[k].y.shape[1]
-    at = slice(k * size, (k + 1) * size)
-    W = inverse(joint.evidence.covariance[at, at])
-    off = joint.draws.forces[:, at] - joint.evidence.centre[at]
-    chi2 = np.einsum("di,ij,dj->d", off, W, off)
-    best = int(np.argmin(chi2))
-    J = np.concatenate([joint.responses[k].J, joint.responses[k].along], axis=1)
+    off, W = _best(joint, k)
+    J, _ = _slopes(joint, k)
     J = J[:, np.abs(J).max(axis=0) > 0.0]
     # the draws scatter about the best fit; what a step of the unknowns would still take off does not count
-    step = np.linalg.lstsq(np.linalg.cholesky(W).T @ J, -np.linalg.cholesky(W).T @ off[best], rcond=1e-9)[0]
-    left = off[best] + J @ step
+    root = np.linalg.cholesky(W).T
+    step = np.linalg.lstsq(root @ J, -root @ off, rcond=1e-9)[0]
+    left = off + J @ step
     return float(left @ W @ left)
 
 
@@ -243,10 +256,9 @@ def _ratios(
     question: Question,
     exponent: float,
     known: Mapping[int, tuple[float, float]],
-    column: object,
+    column: Callable[[str], _Floats],
 ) -> None:
     """Fill the ratios of moduli to that of the reference."""
-    assert callable(column)
     which = [m for m in materials if m.reference and m.joint is not None]
     if not which:
         return
@@ -270,7 +282,6 @@ def _array(name: str, values: npt.NDArray[np.generic], names: Sequence[str]) -> 
     short = name.removeprefix("material_")
     for suffix in ("_lower", "_upper", "_spread", "_statistical", "_systematic", "_ratio"):
         short = short.removesuffix(suffix)
-    short = short.removesuffix("_ratio")
     record = quantity(short)
     plain = any(name.endswith(end) for end in ("_spread", "_statistical", "_systematic")) or "_ratio" in name
     unit = record.unit if record is not None and not plain else "1"
@@ -344,21 +355,13 @@ def _checks(materials: Sequence[Material], rows: Rows, names: Sequence[str]) -> 
 
 def _left_out(joint: Joint, k: int) -> tuple[_Floats, _Floats, _Floats]:
     """Return harmonics of a phase and the interval of each that all others predict, to first order."""
-    size, unit = joint.tiles[k].y.shape[1], joint.evidence.unit
-    at = slice(k * size, (k + 1) * size)
-    x, v = np.median(joint.draws.ln_E[:, k]), joint.draws.unknowns[:, k]
-    del x, v
-    response = joint.responses[k]
-    J = np.concatenate([response.J, response.along], axis=1)
-    wide = np.concatenate([_WIDE[:PROPERTIES], np.full(J.shape[1] - PROPERTIES, _WIDE[-1])])
-    K = joint.evidence.covariance[at, at] + (J * wide**2) @ J.T
-    W = inverse(K)
+    at, unit = _data_of(joint, k), joint.evidence.unit
+    J, wide = _slopes(joint, k)
+    W = inverse(joint.evidence.covariance[at, at] + (J * wide**2) @ J.T)
     y = joint.evidence.centre[at]
     # about the draw that fits best
-    off = joint.draws.forces[:, at] - y
-    best = int(np.argmin(np.einsum("di,ij,dj->d", off, inverse(joint.evidence.covariance[at, at]), off)))
-    f = joint.draws.forces[best, at]
-    pull = W @ (y - f)
+    off, _ = _best(joint, k)
+    pull = -W @ off
     sd = 1.0 / np.sqrt(np.diag(W))
     predicted = y - pull / np.diag(W)
     reach = 0.5 * _NINETY * sd
