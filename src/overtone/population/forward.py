@@ -55,7 +55,7 @@ class Scene(NamedTuple):
     """(material, scan): of the tip [m]."""
     followed: Followed
     nothing: _Complex
-    """(harmonic,): NaN; the harmonics of the motion are those of the model."""
+    """(0,): no harmonic of the motion is taken as measured; all are those of the model."""
     unit: float
     """Of force [N]."""
     centre: _Floats
@@ -362,6 +362,14 @@ def cholesky(H: _Floats) -> bool:
 
 
 @inner
+def _hold_back(a: int, here: float, low: _Floats, high: _Floats, H: _Floats, g: _Floats) -> None:
+    """Take an unknown out of a step that a bound holds back."""
+    if (here <= low[a] and g[a] < 0.0) or (here >= high[a] and g[a] > 0.0):
+        H[a, :], H[:, a] = 0.0, 0.0
+        H[a, a], g[a] = 1.0, 0.0
+
+
+@inner
 def settle_materials(
     scene: Scene, prior: Prior, sticky: bool, loss: bool, x: _Floats, v: _Floats, desk: Desk
 ) -> float:
@@ -408,9 +416,7 @@ def settle_materials(
                 desk.H[a, b] = desk.H[b, a]
         for a in range(m):
             here = v[a // each, a % each]
-            if (here <= desk.low[a] and desk.g[a] < 0.0) or (here >= desk.high[a] and desk.g[a] > 0.0):
-                desk.H[a, :], desk.H[:, a] = 0.0, 0.0
-                desk.H[a, a], desk.g[a] = 1.0, 0.0
+            _hold_back(a, here, desk.low, desk.high, desk.H, desk.g)
         if not cholesky(desk.H):
             return -math.inf
         # L L' step = g; its squared length in standard deviations is |L^-1 g|^2
@@ -492,10 +498,8 @@ def climb(
         add_priors(scene, prior, sticky, loss, x, v, g, P)
         for a in range(all_of):
             H[a, a] += P[a]
-            at_bound = x[a - m] if a >= m else v[a // each, a % each]
-            if (at_bound <= low[a] and g[a] < 0.0) or (at_bound >= high[a] and g[a] > 0.0):
-                H[a, :], H[:, a] = 0.0, 0.0
-                H[a, a], g[a] = 1.0, 0.0
+            here = x[a - m] if a >= m else v[a // each, a % each]
+            _hold_back(a, here, low, high, H, g)
         if not math.isfinite(H.sum() + g.sum()):
             return -math.inf
         scale = np.sqrt(np.diag(H))
@@ -568,8 +572,8 @@ def starts_of_material(
         v0[0, ADHESION], v0[0, TANGENT] = _LEAST, _LEAST
         v0[0, FIRST_DEPTH] = places[i]
         x0[0] = 18.0
-        S0 = stiffness(contact, math.exp(x0[0]))[0]
-        # two passes: the motion of the first is that of a material without adhesion
+        fine = False
+        # the motion of the first pass is that of a material without adhesion
         for _ in range(3):
             desk.motions[:] = 0.0
             all_rows(scene, x0, v0, desk)
@@ -613,15 +617,11 @@ def starts_of_material(
             v0[0, ADHESION] = math.log(max(solution[1], math.exp(_LEAST)))
             v0[0, TANGENT] = math.log(max(solution[2] / solution[0], math.exp(_LEAST)))
         else:
-            S0 = 0.0
-        if S0 != 0.0:
+            fine = True
+        if not fine:
             ln_E[i], chi2[i] = math.nan, math.inf
             continue
         all_rows(scene, x0, v0, desk)
-        total = 0.0
-        for r in range(rows):
-            for q in range(rows):
-                total += (desk.f[r] - scene.centre[r]) * scene.precision[r, q] * (desk.f[q] - scene.centre[q])
-        ln_E[i], chi2[i] = x0[0], total
+        ln_E[i], chi2[i] = x0[0], 2.0 * misfit(scene, desk.f)
         v[i, :] = places[i]
         v[i, :FIRST_DEPTH] = v0[0, :FIRST_DEPTH]

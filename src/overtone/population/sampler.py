@@ -215,6 +215,19 @@ def _solve(L: _Floats, b: _Floats, out: _Floats) -> None:
 
 
 @inner
+def _squared(L: _Floats, step: _Floats) -> float:
+    """Return the squared length of a step in the metric L L'."""
+    n = step.shape[0]
+    length = 0.0
+    for a in range(n):
+        along = 0.0
+        for c in range(a, n):
+            along += L[c, a] * step[c]
+        length += along * along
+    return length
+
+
+@inner
 def _log_det(A: _Floats) -> float:
     """Return ln of the size of the determinant of a matrix of wild rows."""
     scale = np.sqrt(np.abs(np.diag(A)) + 1e-300)
@@ -237,12 +250,8 @@ def _log_step(
     _solve(start.L, start.g, work)
     for a in range(n):
         step[a] -= 0.5 * stride * stride * work[a]
-    length, log_L = 0.0, 0.0
+    length, log_L = _squared(start.L, step), 0.0
     for a in range(n):
-        along = 0.0
-        for c in range(a, n):
-            along += start.L[c, a] * step[c]
-        length += along * along
         log_L += math.log(start.L[a, a])
     M = start.J.T @ (scene.precision @ end.J)
     for a in range(n):
@@ -297,13 +306,8 @@ def _follow(
         if not math.isfinite(M.sum()):
             return False
         work[:] = np.linalg.solve(M / np.outer(scale, scale), off / scale) / scale
-        length = 0.0
-        for a in range(n):
-            along = 0.0
-            for c in range(a, n):
-                along += start.L[c, a] * work[c]
-            length += along * along
-            end.u[a] += work[a]
+        end.u[:] += work
+        length = _squared(start.L, work)
         if not length < _LOST:
             return False
         if length < _ARRIVED:
@@ -338,13 +342,7 @@ def _leads_back(
     again.motions[:] = there.motions
     if not _follow(scene, prior, sticky, loss, there, P, goal, again, desk, x, v, work, off):
         return False
-    length = 0.0
-    for a in range(n):
-        along = 0.0
-        for c in range(a, n):
-            along += here.L[c, a] * (again.u[c] - here.u[c])
-        length += along * along
-    return length < _SAME
+    return _squared(here.L, again.u - here.u) < _SAME
 
 
 @kernel
