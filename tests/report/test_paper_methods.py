@@ -1,5 +1,7 @@
+
 """Methods paragraphs: every number of the provenance stands in them, and nothing that is not known is made up."""
 
+import json
 import runpy
 from dataclasses import replace
 from pathlib import Path
@@ -136,3 +138,14 @@ def test_a_large_error_of_the_reference_is_a_factor(scan, result):
     loose = replace(known, reference=replace(known.reference, properties={"adhesion": (3e-9, 1.0)}))
     text = text_of(scan.assign_attrs(calibration=format_calibration(loose)), result)
     assert "adhesion 3 nN known to a factor of 2.7" in text
+
+
+def test_priors_are_those_of_the_materials_where_pixels_share_them(scan, result):
+    shared = "modulus log-normal 4.5e+08 4; adhesion log-range 6.28e-11 6.28e-08"
+    entries = json.loads(result.attrs["history"])
+    next(e for e in entries if e["operation"] == "map_properties")["arguments"]["shared_priors"] = shared
+    told = result.assign_attrs(history=json.dumps(entries))
+    text = text_of(scan, told)
+    assert "adhesion log-uniform from 62.8 pN to 62.8 nN" in text
+    assert "truncated at zero" not in text
+    assert ("prior", "adhesion log-range 6.28e-11 6.28e-08", "") in metadata_rows(facts_of(scan, told))

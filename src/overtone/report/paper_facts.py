@@ -26,7 +26,7 @@ from overtone.units import format_quantity
 _UNIT = {unknown.name: unknown.unit for unknown in UNKNOWNS}
 _MEANING = {unknown.name: unknown.meaning for unknown in UNKNOWNS}
 _ERROR_LEFT = "error left"
-_KNOWN = ("probe", "noise", "noise_stated", "priors", "harmonics", "dissipative_harmonics")
+_KNOWN = ("probe", "noise", "noise_stated", "priors", "shared_priors", "harmonics", "dissipative_harmonics")
 
 
 @dataclass(frozen=True)
@@ -71,6 +71,12 @@ class Facts:
     def argument(self, name: str) -> Any:
         """Return what the inversion was called with, or what the result says of it, None where neither is known."""
         return self.arguments.get(name, self.attributes.get(name))
+
+    @property
+    def priors(self) -> list[str]:
+        """What was known of each property of a material before: of one that pixels share, where they do."""
+        text = self.argument("shared_priors") or self.argument("priors") or ""
+        return [part.strip() for part in str(text).split(";") if part.strip()]
 
 
 def facts_of(observables: xr.Dataset, result: xr.Dataset) -> Facts:
@@ -209,8 +215,7 @@ def _of_the_inversion(facts: Facts) -> list[Row]:
         for name, value in noise.items():
             record = quantity(str(name))
             rows.append((f"noise of {name}", float(value), record.unit if record else "1"))
-    priors = facts.argument("priors")
-    rows += [("prior", part.strip(), "") for part in str(priors or "").split(";") if part.strip()]
+    rows += [("prior", part, "") for part in facts.priors]
     for name, value in facts.arguments.items():
         if name in _KNOWN or name in ("model", "method") or value is None:
             continue

@@ -162,7 +162,7 @@ def _inversion(facts: Facts) -> str:
     }.get(str(facts.argument("motion")), "")
     said.append(f"Properties were inferred from {used}{motion}.")
     said.append(_noise(facts))
-    priors = [_prior(part) for part in str(facts.argument("priors") or "").split(";") if part.strip()]
+    priors = [_prior(part) for part in facts.priors]
     said.append(f"Priors: {'; '.join(priors) if priors else _UNKNOWN}.")
     return " ".join(said)
 
