@@ -1,4 +1,3 @@
-
 """Methods paragraphs: every number of the provenance stands in them, and nothing that is not known is made up."""
 
 import json
