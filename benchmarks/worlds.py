@@ -28,7 +28,15 @@ from worlds_scores import COLUMNS, KINDS, Row, scores, told, written
 FOLDER = Path(__file__).resolve().parent
 TABLE = FOLDER.parent / "build" / "worlds.csv"
 DOCS = FOLDER.parent / "docs"
-SHARES = {"three": 18, "homogeneous": 15, "gradient": 15, "jkr": 4, "sls": 4, "blunted-cone": 4}
+SHARES = {
+    "three": 18,
+    "homogeneous": 15,
+    "gradient": 15,
+    "jkr": 4,
+    "sls": 4,
+    "blunted-cone": 4,
+    "setpoints": 4,
+}
 """Of so many worlds as they add up to."""
 ROOMS = ("contact", "dynamics", "inversion", "instrument", "population")
 
@@ -40,7 +48,9 @@ def version() -> str:
     """Return a word for what the answers depend on: the package and these simulations."""
     package = Path(overtone.__file__).parent
     paths = [path for room in ROOMS for path in sorted((package / room).glob("*.py"))]
-    paths += [FOLDER / f"worlds_{part}.py" for part in ("simulated", "forces", "scores", "limit")]
+    paths += [
+        FOLDER / f"worlds_{part}.py" for part in ("simulated", "forces", "scores", "limit", "setpoints")
+    ]
     return hashlib.sha256(b"".join(path.read_bytes() for path in paths)).hexdigest()[:12]
 
 

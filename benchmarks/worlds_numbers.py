@@ -17,8 +17,10 @@ import numpy.typing as npt
 from overtone.contact.models import contact_model
 from overtone.demo import demo_probe
 from overtone.inversion.priors import complete_priors, interval_width, of_single_pixels, shared_priors
+from overtone.population.refit import LIKELY
 from worlds_limit import PROPERTIES, STATED
-from worlds_scores import CALIBRATIONS, CHECKED, NOISES, NULLS, WRONG
+from worlds_scores import CALIBRATIONS, CHECKED, KINDS, NOISES, NULLS, SEVERAL, WRONG
+from worlds_setpoints import READINGS
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -121,7 +123,7 @@ def ends_of(rows: Rows, name: str) -> Ends:
 def numbers_of(rows: Rows) -> list[Number]:
     """Return all numbers of the page."""
     found: list[Number] = []
-    for part in (_coverage, _pixels, _limits, _wrong, _nulls, _estimators, _predictions, _runs):
+    for part in (_coverage, _pixels, _limits, _wrong, _nulls, _estimators, _predictions, _setpoints, _runs):
         found += part(rows)
     return found
 
@@ -209,11 +211,14 @@ def _limits(rows: Rows) -> list[Number]:
     return found
 
 
+PURE = 0.95
+"""Share of one material in a phase, from which it is a pure one."""
 FLAGS: Mapping[str, Callable[[Rows], Mask]] = {
     "misfit probability": lambda rows: rows.value("misfit_probability") < UNLIKELY,
     "status": lambda rows: rows.value("poor_fit") > 0.5,
     "verdict": lambda rows: rows.value("verdict_misfit") == 1,
-    "other law": lambda rows: np.abs(rows.value("model_difference")) > ends_of(rows, "modulus").log_width,
+    "better law": lambda rows: rows.value("law_gain") > LIKELY,
+    "law as good": lambda rows: np.abs(rows.value("law")) > 0.5 * ends_of(rows, "modulus").log_width,
 }
 """What warns of a wrong model."""
 ANY = "any"
@@ -246,9 +251,11 @@ def _wrong(rows: Rows) -> list[Number]:
                 ends = ends_of(some, name)
                 found.append(share("wrong model", name, over, "covered", ends.held[ends.known]))
             off, flags = off_by(some), flags_of(some)
-            far = np.abs(off) > 0.5
+            far, farther = np.abs(off) > 0.5, np.abs(off) > 1.0
             found.append(median("wrong model", "modulus", over, "bias over interval", off))
             found.append(share("wrong model", "modulus", over, "moved", far))
+            found.append(share("wrong model", "modulus", over, "moved farther", farther))
+            found.append(share("wrong model", ANY, over, "warns of moved farther", flags[ANY][farther]))
             for name, flag in flags.items():
                 found.append(share("wrong model", name, over, "warns of moved", flag[far]))
                 found.append(share("wrong model", name, over, "warns", flag))
@@ -339,9 +346,25 @@ def _predictions(rows: Rows) -> list[Number]:
     return found
 
 
+def _setpoints(rows: Rows) -> list[Number]:
+    """Return how often the readings of a third set-point are as the first two say, by how pure the phase is."""
+    whole = rows.kind(SEVERAL).equal(error="")
+    pure = whole.value("purity") > PURE
+    found = []
+    for over, some in (("all", whole), ("pure", whole.where(pure)), ("mixed", whole.where(~pure))):
+        every = []
+        for name in READINGS:
+            inside = some.value(f"predicted_{name}")
+            inside = inside[np.isfinite(inside)]
+            every.append(inside)
+            found.append(share("set-points", name, over, "inside", inside == 1))
+        found.append(share("set-points", "all", over, "inside", np.concatenate(every) == 1))
+    return found
+
+
 def _runs(rows: Rows) -> list[Number]:
     found = []
-    for kind in ("three", *NULLS, *WRONG):
+    for kind in KINDS:
         mine = rows.where(rows.text("kind") == kind)
         worlds = len(set(mine.text("seed")))
         some = one_a_world(rows.kind(kind))

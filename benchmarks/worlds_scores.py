@@ -5,6 +5,7 @@ Each row is a flat mapping with the columns `COLUMNS`; what does not apply is le
     every true material      with ``material`` its name, once without and once with a reference
     the interphase           ``material`` = interphase: pixels only
     a scan without phases    ``material`` = all: how many phases were found
+    three set-points         a row a phase, ``material`` the one that most of it is: two fitted, the third predicted
 """
 
 from __future__ import annotations
@@ -21,10 +22,10 @@ import numpy.typing as npt
 import xarray as xr
 
 import overtone as ot
-from overtone.errors import OvertoneError
 from overtone.instrument.material import Reference
 from overtone.inversion.result import DETERMINED, POOR_FIT
 from worlds_limit import PROPERTIES, STATED, limits
+from worlds_setpoints import READINGS, SETPOINTS, predictions
 from worlds_simulated import POISSON_RATIO, World, world
 
 Row = dict[str, Any]
@@ -38,18 +39,20 @@ NOISES = (5, 20, 50)
 CALIBRATIONS = ("tight", "loose")
 NULLS = ("homogeneous", "gradient")
 WRONG = ("jkr", "sls", "blunted-cone")
-KINDS = ("three", *NULLS, *WRONG)
+SEVERAL = "setpoints"
+"""Worlds of three materials at three set-points."""
+KINDS = ("three", *NULLS, *WRONG, SEVERAL)
 REFERENCE, REFERENCE_ERROR = "PS", 0.10
 PIXELS, INTERPHASE_PIXELS, COMPARED_PIXELS = 25, 10, 200
 FITTED = (0, 1, 2)
-"""Harmonics of least squares and of JKR."""
+"""Harmonics of least squares."""
 CHECKED = ("CONS_0", "CONS_1", "CONS_2", "CONS_3", "DISS_1", "DISS_2")
 
 COLUMNS = (
     *("version", "kind", "seed", "noise", "calibration", "reference", "material", "error"),
     *("seconds", "cpu", "phases", "resolved_phases", "verdict", "verdict_misfit"),
     *("own_pixels", "found", "purity", "recall", "merged", "determined", "poor_fit", "misfit_probability"),
-    *("Delta", "model_difference", "ratio_true", "ratio_lower", "ratio_upper"),
+    *("Delta", "law", "law_gain", "ratio_true", "ratio_lower", "ratio_upper"),
     *(
         f"{name}_{what}"
         for name in PROPERTIES
@@ -62,6 +65,7 @@ COLUMNS = (
     ),
     *("compared", "answers", "error_fit", "error_pixel", "error_alone", "error_material"),
     *(f"check_{name}" for name in CHECKED),
+    *(f"predicted_{name}" for name in READINGS),
 )
 
 
@@ -75,6 +79,8 @@ def conditions(kind: str, seed: int) -> tuple[int, str]:
 def scores(kind: str, seed: int) -> list[Row]:
     """Return the rows of a world."""
     noise, calibration = conditions(kind, seed)
+    if kind == SEVERAL:
+        return of_setpoints(seed, noise, calibration)
     shape = SHAPE if kind == "three" else SMALL
     made = world(seed, kind=kind, noise_A0=1e-12 * noise, calibration=calibration, shape=shape)
     head: Row = {"kind": kind, "seed": seed, "noise": noise, "calibration": calibration}
@@ -112,9 +118,7 @@ def told(error: Exception) -> str:
 
 def inverted(made: World, *, with_reference: bool) -> tuple[xr.Dataset, float, float]:
     """Return the answer of the method, how long it took, and how long on all cores together [s]."""
-    known: dict[str, Any] = {}
-    if with_reference:
-        known = {"reference": stated_reference(made), "reference_pixels": marked_pixels(made)}
+    known = known_of(made, with_reference=with_reference)
     start, cpu = time.perf_counter(), time.process_time()
     result = ot.map_properties(
         made.scan,
@@ -208,29 +212,44 @@ def of_material(made: World, result: xr.Dataset, index: int) -> Row:
             if np.isfinite(one["check_observed"]):
                 inside = one["check_lower"] <= one["check_observed"] <= one["check_upper"]
                 row[f"check_{name}"] = int(inside)
-    row["model_difference"] = model_difference(made, phase, pixels)
+    row["law"] = float(phase["material_modulus_law"])
+    if "law_gain" in phase:
+        row["law_gain"] = float(phase["law_gain"].max())
     return row
+
+
+def of_setpoints(seed: int, noise: int, calibration: str) -> list[Row]:
+    """Return a row a phase of a world of three set-points: whether the third is as the first two say."""
+    made = world(seed, noise_A0=1e-12 * noise, calibration=calibration, shape=SMALL, setpoints=SETPOINTS)
+    rows: list[Row] = []
+    for with_reference in (False, True):
+        head: Row = {"kind": SEVERAL, "seed": seed, "noise": noise, "calibration": calibration}
+        head["reference"] = int(with_reference)
+        try:
+            result, found = predictions(made, known_of(made, with_reference=with_reference))
+        except Exception as error:  # one scan must not end a run; the page counts these
+            rows.append(head | {"material": "all", "error": told(error)})
+            continue
+        own, label = made.truth["material"].values, result["phase"].values
+        for phase in found:
+            counts = np.bincount(own[(label == phase["index"]) & (own >= 0)], minlength=len(made.materials))
+            index = int(np.argmax(counts))
+            row = head | {"material": made.materials[index].name}
+            row["purity"] = float(counts[index] / counts.sum())  # an interphase apart
+            rows.append(row | {f"predicted_{name}": phase[name] for name in READINGS if name in phase})
+    return rows
+
+
+def known_of(made: World, *, with_reference: bool) -> dict[str, Any]:
+    """Return what is told of the reference."""
+    if not with_reference:
+        return {}
+    return {"reference": stated_reference(made), "reference_pixels": marked_pixels(made)}
 
 
 def depth_of(made: World) -> npt.NDArray[np.float64]:
     """Return indentation over 2 A1 at every pixel."""
     return np.asarray(made.truth["indentation"].values / (2.0 * made.scan["A1"].values))
-
-
-def model_difference(made: World, phase: xr.Dataset, pixels: Mask) -> float:
-    """Return ln of the modulus of JKR over that of DMT for the median of a phase, NaN where there is none."""
-    names = ("modulus", "adhesion", "viscosity", "indentation")
-    if any(f"material_{n}" not in phase or not np.isfinite(phase[f"material_{n}"]) for n in names):
-        return math.nan
-    medians = xr.Dataset({n: ("point", [float(phase[f"material_{n}"])]) for n in names})
-    amplitude = xr.DataArray([float(np.nanmean(made.scan["A1"].values[pixels]))], dims="point")
-    try:
-        seen = ot.contact_validity(
-            medians, amplitude, made.probe, model=MODEL, harmonics=FITTED, poisson_ratio=POISSON_RATIO
-        )
-    except OvertoneError:
-        return math.nan
-    return float(seen["model_difference"][0])
 
 
 def some_pixels(made: World, index: int, count: int) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:

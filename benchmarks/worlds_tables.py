@@ -18,10 +18,12 @@ from worlds_numbers import (
 from worlds_scores import (
     CALIBRATIONS,
     CHECKED,
+    KINDS,
     NOISES,
     NULLS,
     WRONG,
 )
+from worlds_setpoints import READINGS
 
 FEWEST = 8
 GOAL = (0.85, 0.95)
@@ -169,9 +171,21 @@ def wrong_table(numbers: Numbers) -> str:
                     numbers.value("wrong model", "modulus", over, "bias over interval"),
                     numbers.covered("wrong model", "modulus", over, "moved"),
                     *(numbers.percent("wrong model", name, over, "warns of moved") for name in (*FLAGS, ANY)),
+                    numbers.covered("wrong model", "modulus", over, "moved farther"),
+                    numbers.percent("wrong model", ANY, over, "warns of moved farther"),
                 ]
             )
-    head = ["sample", "reference", *TITLES.values(), "bias of ln E", "moved", *FLAGS, ANY]
+    head = [
+        "sample",
+        "reference",
+        *TITLES.values(),
+        "bias of ln E",
+        "moved",
+        *FLAGS,
+        ANY,
+        "farther",
+        "any of them",
+    ]
     return lines_of(head, body)
 
 
@@ -236,10 +250,21 @@ def prediction_table(numbers: Numbers) -> str:
     return lines_of(["worlds", *CHECKED, "all"], body)
 
 
+def setpoints_table(numbers: Numbers) -> str:
+    """Return how many mean readings of a third set-point lie where the first two say."""
+    body = []
+    for over in ("all", "pure", "mixed"):
+        every = numbers.covered("set-points", "all", over, "inside")
+        shares = (numbers.percent("set-points", n, over, "inside") for n in READINGS)
+        body.append([over, *shares, every])
+    titles = [name.replace("_real", ", real").replace("_imag", ", imaginary") for name in READINGS]
+    return lines_of(["phases", *titles, "all"], body)
+
+
 def times(numbers: Numbers) -> str:
     """Return how long a scan takes."""
     body = []
-    for kind in ("three", *NULLS, *WRONG):
+    for kind in KINDS:
         wall = numbers.value("runs", kind, "all", "seconds", digits=1)
         cpu = numbers.value("runs", kind, "all", "cpu", digits=1)
         body.append([kind, wall, cpu])

@@ -19,8 +19,10 @@ from overtone.population.evidence import Evidence, Tiles, inverse
 from overtone.population.forward import ADHESION, FIRST_DEPTH, TANGENT
 from overtone.population.joint import Joint, Response
 from overtone.population.materials import Draws, Question
+from overtone.population.other_laws import Laws
 from overtone.population.spread import Spread
-from overtone.population.table import Material, draws_of, materials_of, verdict_of
+from overtone.population.table import Material, draws_of, materials_of
+from overtone.population.verdict import verdict_of
 
 PROBE = demo_probe()
 RECORD = contact_model("dmt-viscous")
@@ -105,10 +107,24 @@ def material(joint, place=0, *, reference=False, resolved=True):
     return Material(place, 400, 3, resolved, reference, joint, place)
 
 
-def table(materials, names=None, known=None, anchored=False, calibrated=True):
+def laws(*errors, better=""):
+    """Return what other laws would change of ln of the moduli."""
+    return Laws(np.array(errors), better, {})
+
+
+def table(materials, names=None, known=None, anchored=False, calibrated=True, other=None):
     names = names or [f"phase_{i + 1}" for i in range(len(materials))]
     return materials_of(
-        materials, names, QUESTION, ROWS, EXPONENT, known or {}, "as given", anchored, calibrated
+        materials,
+        names,
+        QUESTION,
+        ROWS,
+        EXPONENT,
+        known or {},
+        "as given",
+        anchored,
+        calibrated,
+        other or laws(*[math.nan] * len(materials)),
     )
 
 
@@ -283,8 +299,17 @@ def test_the_gate_is_where_the_verdict_turns():
         columns = {
             "material_modulus_lower": np.array([1e9 * math.exp(-reach)]),
             "material_modulus_upper": np.array([1e9 * math.exp(reach)]),
+            "material_modulus_law": np.array([math.nan]),
         }
-        assert verdict_of(materials, columns, ["PS"], False)[0] == want
+        assert verdict_of(materials, columns, ["PS"], False, "")[0] == want
+        # another law that fits as well is an error like any other
+        open_ = columns | {"material_modulus_law": np.array([-0.5 * GATE])}
+        assert verdict_of(materials, open_, ["PS"], False, "")[0] == CONTRAST
+        told, why = verdict_of(
+            materials, columns | {"material_modulus_law": np.array([2.0 * GATE])}, ["PS"], False, ""
+        )
+        assert told == CONTRAST
+        assert "another law of contact" in why
 
 
 def test_a_model_that_does_not_fit_is_named():

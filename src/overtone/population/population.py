@@ -37,6 +37,7 @@ from overtone.population.draws import mixture_of, quantities_of, tilts
 from overtone.population.evidence import TILES, Harvest, Known, beyond_scatter, harvest
 from overtone.population.joint import Joint, infer
 from overtone.population.materials import Question
+from overtone.population.other_laws import laws_of
 from overtone.population.phases import NONE, Phases, find_phases, labels_as_phases
 from overtone.population.pooled import QUANTILES, pool
 from overtone.population.table import Material, Materials, materials_of
@@ -208,6 +209,7 @@ def pool_scan(
         found.note.split("; ")[0].rstrip("."),
         anchored,
         calibration is not None,
+        laws_of(materials, question, exponent, called),
     )
 
 

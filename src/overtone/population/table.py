@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from overtone.instrument.gates import ABSOLUTE, CONTRAST, GATE, RELATIVE
+from overtone.instrument.gates import CONTRAST
 from overtone.inversion.forces import Rows
 from overtone.inversion.linear import stiffness
 from overtone.population.evidence import inverse
@@ -19,16 +19,15 @@ from overtone.population.forward import ADHESION, FIRST_DEPTH, TANGENT
 from overtone.population.held import PROPERTIES
 from overtone.population.joint import Joint
 from overtone.population.materials import MIXED, Question
+from overtone.population.other_laws import Laws
 from overtone.population.pooled import QUANTILES
+from overtone.population.verdict import NINETY, verdict_of
 from overtone.quantities import quantity
 
 _Floats = npt.NDArray[np.float64]
 
 _WIDE = np.array([4.0, 2.0, 2.0, 3.0])
 """Standard deviations of ln E, ln F_ad, ln tan and t before anything was measured, for the linear checks."""
-_UNLIKELY = 1e-3
-_NINETY = 2.0 * 1.6448536269514722
-"""Standard deviations of a normal distribution that its 90 % interval spans."""
 
 
 @dataclass(frozen=True)
@@ -102,6 +101,7 @@ def materials_of(
     note: str,
     anchored: bool,
     calibrated: bool,
+    laws: Laws,
 ) -> Materials:
     """Return the table of materials.
 
@@ -125,6 +125,8 @@ def materials_of(
         Whether the scan was anchored to its reference before.
     calibrated : bool
         Whether it has a calibration at all.
+    laws : Laws
+        What other laws of contact would make of them.
     """
     count = len(materials)
     columns: dict[str, _Floats] = {}
@@ -152,7 +154,7 @@ def materials_of(
                 math.exp(high),
             )
             # of the middle 90 %: the logarithm of what may vanish has no standard deviation
-            total = float(high - low) / _NINETY
+            total = float(high - low) / NINETY
             if name in own:
                 statistical = min(own[name], total)
                 if name == "modulus" and material.index in known:
@@ -165,6 +167,7 @@ def materials_of(
         column("material_misfit")[i] = material.misfit
         column("material_misfit_probability")[i] = material.misfit_probability
     _ratios(materials, question, exponent, known, column)
+    column("material_modulus_law")[:] = laws.error
     arrays = {name: _array(name, values, names) for name, values in columns.items()}
     for name, whole in (
         ("material_pixels", np.array([m.pixels for m in materials], np.int64)),
@@ -173,8 +176,8 @@ def materials_of(
         ("material_reference", np.array([m.reference for m in materials], np.int8)),
     ):
         arrays[name] = _array(name, whole, names)
-    arrays |= _checks(materials, rows, names)
-    verdict, reason = verdict_of(materials, columns, names, anchored)
+    arrays |= _checks(materials, rows, names) | laws.arrays
+    verdict, reason = verdict_of(materials, columns, names, anchored, laws.better)
     if not calibrated and verdict != CONTRAST:
         verdict, reason = CONTRAST, "the scan has no calibration: what all pixels share is in no interval"
     notes = [note]
@@ -283,7 +286,10 @@ def _array(name: str, values: npt.NDArray[np.generic], names: Sequence[str]) -> 
     for suffix in ("_lower", "_upper", "_spread", "_statistical", "_systematic", "_ratio"):
         short = short.removesuffix(suffix)
     record = quantity(short)
-    plain = any(name.endswith(end) for end in ("_spread", "_statistical", "_systematic")) or "_ratio" in name
+    plain = (
+        any(name.endswith(end) for end in ("_spread", "_statistical", "_systematic", "_law"))
+        or "_ratio" in name
+    )
     unit = record.unit if record is not None and not plain else "1"
     meaning = _MEANINGS.get(name.removeprefix("material_"), "")
     if not meaning:
@@ -305,6 +311,7 @@ _MEANINGS = {
     "reference": "whether it is the reference",
     "misfit": "smallest chi-squared of the phase by itself",
     "misfit_probability": "chance of a larger misfit if the model is right",
+    "modulus_law": "largest change of ln of the modulus under a law of contact that fits as well",
     "modulus_ratio": "modulus over that of the reference, median",
     "modulus_ratio_lower": "modulus over that of the reference, lower end of the 90 % interval",
     "modulus_ratio_upper": "modulus over that of the reference, upper end of the 90 % interval",
@@ -364,50 +371,5 @@ def _left_out(joint: Joint, k: int) -> tuple[_Floats, _Floats, _Floats]:
     pull = -W @ off
     sd = 1.0 / np.sqrt(np.diag(W))
     predicted = y - pull / np.diag(W)
-    reach = 0.5 * _NINETY * sd
+    reach = 0.5 * NINETY * sd
     return unit * y, unit * (predicted - reach), unit * (predicted + reach)
-
-
-def verdict_of(
-    materials: Sequence[Material], columns: Mapping[str, _Floats], names: Sequence[str], anchored: bool
-) -> tuple[str, str]:
-    """Return absolute, relative or contrast, and why, in a sentence."""
-    seen = [i for i, m in enumerate(materials) if m.joint is not None and m.resolved]
-    if not seen:
-        return CONTRAST, "no phase was resolved and inverted: maps show each pixel by itself"
-    restless = [names[i] for i in seen if not materials[i].settled]
-    if restless:
-        return (
-            CONTRAST,
-            f"the draws of {', '.join(restless)} have not settled: no interval of theirs can be trusted",
-        )
-    misfits = [names[i] for i in seen if materials[i].misfit_probability < _UNLIKELY]
-    if misfits:
-        return CONTRAST, f"the model does not fit {', '.join(misfits)}"
-    others = [i for i in seen if not materials[i].reference]
-    if any(materials[i].reference for i in seen):
-        if not others:
-            return CONTRAST, "nothing but the reference was resolved and inverted"
-        ratios = {i: _width(columns, "material_modulus_ratio", i) for i in others}
-        far = max(ratios, key=lambda i: ratios[i])
-        how = "anchored to" if anchored else "inferred together with"
-        if ratios[far] <= GATE:
-            return (
-                RELATIVE,
-                f"{how} a reference: ratios of moduli are known to {ratios[far]:.2g} in ln E or better",
-            )
-        return (
-            CONTRAST,
-            f"{how} a reference, and still the ratio of {names[far]} is open to {ratios[far]:.2g} in ln E",
-        )
-    total = {i: _width(columns, "material_modulus", i) for i in others}
-    worst = max(total, key=lambda i: total[i])
-    size = f"{names[worst]} has ln E +- {total[worst]:.2g}"
-    if total[worst] <= GATE:
-        return ABSOLUTE, f"calibration and noise leave {size} or less"
-    return CONTRAST, f"{size} and no reference is in the scan"
-
-
-def _width(columns: Mapping[str, _Floats], name: str, i: int) -> float:
-    """Return the standard deviation that a 90 % interval of a logarithm speaks of."""
-    return float(np.log(columns[f"{name}_upper"][i] / columns[f"{name}_lower"][i])) / _NINETY

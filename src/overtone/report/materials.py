@@ -7,6 +7,7 @@ import math
 import numpy as np
 import xarray as xr
 
+from overtone.population.refit import LIKELY
 from overtone.quantities import quantity
 from overtone.report.content import Table
 from overtone.report.numbers import spread_text
@@ -159,6 +160,7 @@ def _note(result: xr.Dataset) -> str:
                 f"The model does not fit {material.replace('_', ' ')}: a misfit as large has a chance of "
                 f"{100.0 * chance:.2g} %."
             )
+    said += _of_other_laws(result)
     if result.sizes["material"] and "calibration" not in result.attrs:
         said.append(
             "The scan was not corrected with a calibration: what its pixels share is in no interval, and the verdict "
@@ -166,3 +168,28 @@ def _note(result: xr.Dataset) -> str:
         )
     said.append(verdict_text(result))
     return " ".join(part for part in said if part)
+
+
+def _of_other_laws(result: xr.Dataset) -> list[str]:
+    """Return what another law of contact would change, where that counts beside the interval or fits better."""
+    if "law_change" not in result or not result.sizes["material"]:
+        return []
+    said = []
+    gains, titles = result["law_gain"].values, [str(title) for title in result["law_title"].values]
+    for j, title in enumerate(titles):
+        best = float(np.max(gains[:, j], where=np.isfinite(gains[:, j]), initial=-math.inf))
+        if best > LIKELY:
+            said.append(
+                f"The data prefer {title} to the model, with odds of 10^{best / math.log(10.0):.0f} to 1."
+            )
+    for k, material in enumerate(map(str, result["material"].values)):
+        law = _number(result, "material_modulus_law", k)
+        ends = [_number(result, f"material_modulus_{end}", k) for end in ("lower", "upper")]
+        if not math.isfinite(law) or abs(law) <= 0.5 * math.log(ends[1] / ends[0]):
+            continue
+        change = np.where(gains[k] > -LIKELY, np.abs(result["law_change"].values[k]), -1.0)
+        said.append(
+            f"Under {titles[int(change.argmax())]}, which fits as well, {material.replace('_', ' ')} would have "
+            f"{math.exp(law):.2g} times its modulus: an error of the model that is in no interval."
+        )
+    return said
