@@ -53,6 +53,27 @@ def test_what_is_merged_or_does_not_fit_is_said(result):
     assert "does not fit PS" not in table.note
 
 
+def with_laws(result: xr.Dataset, change: float, gain: float) -> xr.Dataset:
+    """Return a result that was fitted under one other law, which changes its second material."""
+    found = result.assign(
+        material_modulus_law=("material", [0.0, change]),
+        law_change=(("material", "law"), [[0.0], [change]]),
+        law_gain=(("material", "law"), [[gain], [gain]]),
+        law_title=("law", ["JKR adhesion"]),
+    )
+    return found.assign_coords(law=["jkr"])
+
+
+def test_another_law_that_fits_as_well_is_said_where_it_counts(result):
+    reach = 0.5 * math.log(float(result["material_modulus_upper"][1] / result["material_modulus_lower"][1]))
+    said = materials_table(with_laws(result, -1.01 * reach, -2.0)).note
+    assert f"LDPE would have {math.exp(-1.01 * reach):.2g} times its modulus" in said
+    assert "prefer" not in said
+    assert "would have" not in materials_table(with_laws(result, 0.99 * reach, -2.0)).note
+    said = materials_table(with_laws(result, 0.99 * reach, 23.03)).note
+    assert "The data prefer JKR adhesion to the model, with odds of 10^10 to 1." in said
+
+
 def test_what_is_not_known_is_a_dash(result):
     unknown = result.assign(material_modulus=result["material_modulus"].copy(data=[math.nan, 9e7]))
     unknown = unknown.drop_vars(["material_domains", "material_modulus_spread", "material_modulus_lower"])

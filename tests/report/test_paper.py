@@ -92,6 +92,18 @@ def same(texts: list[str], values: np.ndarray) -> None:
 # --- files ------------------------------------------------------------------------------------------------------------
 
 
+def test_other_laws_are_a_table(tmp_path, quick, scan, result) -> None:
+    tried = result.assign(
+        law_change=(("material", "law"), [[0.1], [0.4]]), law_gain=(("material", "law"), [[-2.0], [-2.0]])
+    ).assign_coords(law=["jkr"])
+    tried = tried.assign(law_title=("law", ["JKR adhesion"]), material_modulus_law=("material", [0.1, 0.4]))
+    write_paper(tmp_path / "out", scan, tried)
+    rows = rows_of(tmp_path / "out" / "laws.csv")
+    column = next(name for name in rows[0] if name.startswith("law_change"))
+    same([row[column] for row in rows], np.array([0.1, 0.4]))
+    assert {row["law"] for row in rows} == {"jkr"}
+
+
 def test_every_file_is_there_and_is_told_of(written, folder):
     expected = {f"{name}.{ending}" for name in NAMES for ending in ENDINGS}
     expected |= {"tables.csv", "metadata.csv", "methods.md", "report.html"}

@@ -160,7 +160,7 @@ def _note(result: xr.Dataset) -> str:
                 f"The model does not fit {material.replace('_', ' ')}: a misfit as large has a chance of "
                 f"{100.0 * chance:.2g} %."
             )
-    said += _of_other_laws(result)
+    said += law_sentences(result)
     if result.sizes["material"] and "calibration" not in result.attrs:
         said.append(
             "The scan was not corrected with a calibration: what its pixels share is in no interval, and the verdict "
@@ -170,7 +170,7 @@ def _note(result: xr.Dataset) -> str:
     return " ".join(part for part in said if part)
 
 
-def _of_other_laws(result: xr.Dataset) -> list[str]:
+def law_sentences(result: xr.Dataset) -> list[str]:
     """Return what another law of contact would change, where that counts beside the interval or fits better."""
     if "law_change" not in result or not result.sizes["material"]:
         return []

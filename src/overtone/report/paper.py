@@ -15,7 +15,7 @@ from overtone.report.folder import filled_folder
 from overtone.report.materials import materials_table, verdict_text
 from overtone.report.page import lay_out, picture_of
 from overtone.report.paper_content import Paper, PaperFigure, with_setpoint
-from overtone.report.paper_data import material_data
+from overtone.report.paper_data import law_data, material_data
 from overtone.report.paper_facts import facts_of, metadata_cells, metadata_rows, metadata_table
 from overtone.report.paper_figures import NAMES, paper_figures
 from overtone.report.paper_methods import REFERENCES, methods_paragraphs, methods_text
@@ -26,6 +26,7 @@ from overtone.report.summary import gate_table, unknown_table
 __all__ = ["materials_table", "with_setpoint", "write_paper"]
 
 TABLES, METADATA, METHODS, PAGE = "tables.csv", "metadata.csv", "methods.md", "report.html"
+LAWS = "laws.csv"
 _EXTRA = ("_fit",)  # further tables of a figure
 _LABEL = "population"
 
@@ -69,7 +70,8 @@ def write_paper(
     Returns
     -------
     tuple of Path
-        The files: every figure as .svg, .pdf, .png and .csv, ``tables.csv`` (materials), ``metadata.csv``,
+        The files: every figure as .svg, .pdf, .png and .csv, ``tables.csv`` (materials), ``laws.csv`` (what other laws of
+        contact would change, where some were tried), ``metadata.csv``,
         ``methods.md`` and ``report.html``.
 
     Raises
@@ -102,6 +104,9 @@ def write_paper(
                     f"{found.name}{beyond}.csv", table_text(data, (f"figure: {found.title}",)).encode()
                 )
         place.write(TABLES, table_text(material_data(result), ("table: materials",)).encode())
+        laws = law_data(result)
+        if laws is not None:
+            place.write(LAWS, table_text(laws, ("table: other laws of contact",)).encode())
         place.write(METADATA, cells_text(metadata_cells(rows)).encode())
         place.write(METHODS, methods_text(title, paragraphs, left_out).encode())
         place.write(PAGE, _page(paper, figures, left_out, paragraphs, metadata_table(rows)).encode())
@@ -160,4 +165,4 @@ def _known_names() -> frozenset[str]:
     """Return the names of all files that a report may have."""
     pictures = (f"{name}.{ending}" for name in NAMES for ending in FORMATS)
     numbers = (f"{name}{beyond}.csv" for name in NAMES for beyond in ("", *_EXTRA))
-    return frozenset((*pictures, *numbers, TABLES, METADATA, METHODS, PAGE))
+    return frozenset((*pictures, *numbers, TABLES, LAWS, METADATA, METHODS, PAGE))

@@ -129,6 +129,14 @@ def material_data(result: xr.Dataset) -> xr.Dataset:
     )
 
 
+def law_data(result: xr.Dataset) -> xr.Dataset | None:
+    """Return what other laws of contact would change (material, law), None where none was tried."""
+    names = ("law_change", "law_gain")
+    if any(name not in result for name in names):
+        return None
+    return result[list(names)].drop_attrs(deep=False)
+
+
 def check_data(result: xr.Dataset) -> xr.Dataset | None:
     """Return the predictive check (material, row), None where the result has none."""
     names = ("check_observed", "check_lower", "check_upper")

@@ -13,7 +13,14 @@ from overtone.contact.models import contact_model
 from overtone.errors import ContactModelError
 from overtone.instrument.calibration import Calibration, summary_rows
 from overtone.quantities import quantity
-from overtone.report.materials import UNRESOLVED, interval, materials_properties, sentence, verdict_text
+from overtone.report.materials import (
+    UNRESOLVED,
+    interval,
+    law_sentences,
+    materials_properties,
+    sentence,
+    verdict_text,
+)
 from overtone.report.paper_facts import Facts
 from overtone.report.results import PROPERTIES
 from overtone.units import format_quantity
@@ -194,6 +201,7 @@ def _phases(facts: Facts, result: xr.Dataset) -> str:
     absolute = facts.attributes.get("verdict") in (None, "absolute")
     for k, name in enumerate(names):
         said.append(_material(result, k, name.replace("_", " "), absolute=absolute))
+    said += law_sentences(result)
     said.append(verdict_text(result))
     return " ".join(part for part in said if part)
 
