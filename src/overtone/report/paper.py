@@ -70,9 +70,8 @@ def write_paper(
     Returns
     -------
     tuple of Path
-        The files: every figure as .svg, .pdf, .png and .csv, ``tables.csv`` (materials), ``laws.csv`` (what other laws of
-        contact would change, where some were tried), ``metadata.csv``,
-        ``methods.md`` and ``report.html``.
+        The files: every figure as .svg, .pdf, .png and .csv, ``tables.csv`` (materials), ``laws.csv`` (what other laws
+        of contact would change, where some were tried), ``metadata.csv``, ``methods.md`` and ``report.html``.
 
     Raises
     ------
