@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from overtone._version import __version__
 
 if TYPE_CHECKING:
+    from overtone.batch.files import map_files as map_files
     from overtone.beam import beam_modes as beam_modes
     from overtone.contact.evaluate import force as force
     from overtone.contact.evaluate import force_harmonics as force_harmonics
@@ -55,9 +56,9 @@ if TYPE_CHECKING:
     from overtone.inversion.reconstruction import reconstruct_force as reconstruct_force
     from overtone.inversion.validity import contact_validity as contact_validity
     from overtone.io.curves import open_curve as open_curve
+    from overtone.io.export import load as load
+    from overtone.io.export import save as save
     from overtone.io.ladder import open_ladder as open_ladder
-    from overtone.io.netcdf import load as load
-    from overtone.io.netcdf import save as save
     from overtone.io.observables import open_scan as open_scan
     from overtone.io.quadratures import from_quadratures as from_quadratures
     from overtone.io.quadratures import read_quadratures as read_quadratures
@@ -96,11 +97,12 @@ _HOME = {
     "gates": "instrument.gates",
     "hold_amplitude": "dynamics.hold",
     "lever_near_surface": "instrument.surface",
-    "load": "io.netcdf",
+    "load": "io.export",
     "load_calibration": "instrument.calibration",
     "load_instrument": "instrument.toml",
     "load_probe": "probe",
     "map_energy": "inversion.properties",
+    "map_files": "batch.files",
     "map_properties": "inversion.properties",
     "models": "contact.models",
     "noise_from_bandwidth": "instrument.noise_sources",
@@ -119,7 +121,7 @@ _HOME = {
     "reconstruct_force": "inversion.reconstruction",
     "resonance_from_ladder": "instrument.surface",
     "sample": "contact.sample",
-    "save": "io.netcdf",
+    "save": "io.export",
     "save_calibration": "instrument.calibration",
     "save_instrument": "instrument.toml",
     "save_probe": "probe",

@@ -7,6 +7,8 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, as_completed, wait
 
+_limit: int | None = None
+
 
 def run_blocks(
     kernel: Callable[[slice], None],
@@ -45,7 +47,17 @@ def run_blocks(
         raise
 
 
-@functools.cache
+def limit_threads(count: int) -> None:
+    """Use so many threads from now on instead of one a core: where several processes share the cores."""
+    global _limit
+    _limit = count
+
+
 def _threads() -> ThreadPoolExecutor:
+    return _pool(_limit or os.cpu_count() or 1)
+
+
+@functools.cache
+def _pool(count: int) -> ThreadPoolExecutor:
     """Return the threads, started once: starting them takes longer than many a call."""
-    return ThreadPoolExecutor(max_workers=os.cpu_count() or 1, thread_name_prefix="overtone")
+    return ThreadPoolExecutor(max_workers=count, thread_name_prefix="overtone")

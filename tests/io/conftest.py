@@ -71,3 +71,73 @@ def _field(values: np.ndarray, **header: object) -> bytes:
 @pytest.fixture(scope="session")
 def gwyddion_field() -> Callable[..., bytes]:
     return _field
+
+
+NANOSCOPE_SCANNER = {"@Sens. Zsens": "V 20.00000 nm/V"}
+NANOSCOPE_SCAN = {
+    "Scan Size": "1000 nm",
+    "@MicroscopeList": 'S [TMMode] "Tapping"',
+    "@Sens. AmplSens": "V 50.00000 nm/V",
+    "@Sens. Amplitude": "V 1.000000 ",
+    "@Sens. Amplitude Error": "V 1.000000 ",
+    "@Sens. Phase": "V 1.000000 ",
+    "@2:TMSetAmplitude": "V [Sens. AmplSens] (0.06 mV/LSB) 400.0000 mV",
+    "@3:TMSetAmplitude": "V [Sens. AmplSens] (0.06 mV/LSB) 0 mV",
+    "@2:CantFrequency": "V (0.0000116415 kHz/LSB) 300.0000 kHz",
+    "@2:CantDrive": "V (0.3051758 mV/LSB) 120.0000 mV",
+    "@2:CantPhase": "V (0.005493164 \xba/LSB) 45.00000 \xba",
+}
+NANOSCOPE_SCALES = {
+    "Height": "[Sens. Zsens] (0.001525879 V/LSB) 100.0000 V",
+    "AmplitudeActual": "[Sens. Amplitude] (0.06103516 mV/LSB) 4000.000 mV",
+    "AmplitudeError": "[Sens. Amplitude Error] (0.03051758 mV/LSB) 2000.000 mV",
+    "Phase": "[Sens. Phase] (0.005493164 \xba/LSB) 360.0000 \xba",
+}
+
+
+def _nanoscope(
+    *images: tuple[str, np.ndarray],
+    own: Sequence[dict[str, str | None]] = (),
+    scan: dict[str, str | None] | None = None,
+    scanner: dict[str, str | None] | None = None,
+    first: str = "File list",
+    sections: Sequence[str] = (),
+    start: int = 8192,
+) -> bytes:
+    """A NanoScope file of images (name, counts in the order of the file); a dictionary replaces lines of a list."""
+
+    def entry(entries: dict[str, str | None]) -> list[str]:
+        return [f"{key}: {text}" for key, text in entries.items() if text is not None]
+
+    lines = [f"*{first}", "Version: 0x09010201", f"Data length: {start}"]
+    lines += ["*Scanner list", *entry(NANOSCOPE_SCANNER | (scanner or {}))]
+    lines += ["*Ciao scan list", *entry(NANOSCOPE_SCAN | (scan or {}))]
+    data = b""
+    for index, (name, counts) in enumerate(images):
+        raw = counts.astype(counts.dtype.newbyteorder("<")).tobytes()
+        entries: dict[str, str | None] = {
+            "Data offset": str(start + len(data)),
+            "Data length": str(len(raw)),
+            "Bytes/pixel": str(counts.dtype.itemsize),
+            "Samps/line": str(counts.shape[1]),
+            "Number of lines": str(counts.shape[0]),
+            "Aspect Ratio": "1:1",
+            "Scan Size": "1 1 ~m",
+            "Scan Line": "Main",
+            "Line Direction": "Retrace",
+            "Realtime Planefit": "None",
+            "Offline Planefit": "None",
+            "@2:Image Data": f'S [{name}] "{name} label"',
+            "@2:Z scale": f"V {NANOSCOPE_SCALES.get(name, NANOSCOPE_SCALES['Height'])}",
+        } | (own[index] if index < len(own) else {})
+        lines += ["*Ciao image list", *entry(entries)]
+        data += raw
+    lines += [*sections, "*File list end"]
+    text = "".join(f"\\{line}\r\n" for line in lines).encode("latin-1") + b"\x1a"
+    assert len(text) <= start
+    return text.ljust(start, b"\0") + data
+
+
+@pytest.fixture(scope="session")
+def nanoscope_file() -> Callable[..., bytes]:
+    return _nanoscope

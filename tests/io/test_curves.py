@@ -23,7 +23,7 @@ from overtone.errors import (
 )
 from overtone.harmonics import far_phase
 from overtone.io.curves import open_curve
-from overtone.io.netcdf import load, save
+from overtone.io.export import load, save
 from overtone.io.registry import read_channels
 from overtone.probe import Probe, save_probe
 from overtone.readings import Reading, probe_of, reading_of, with_reading

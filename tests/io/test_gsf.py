@@ -31,7 +31,7 @@ def test_missing_size_and_unit_are_told(read_field):
     assert (scan.channels[0].name, scan.channels[0].unit, dict(scan.coords)) == ("alone", None, {})
     assert any("no coordinates" in note for note in scan.notes)
     assert any("no unit" in note for note in scan.notes)
-    assert any("'A'" in note for note in read_field(ZUnits="A").notes)
+    assert any("'T'" in note for note in read_field(ZUnits="T").notes)
 
 
 def test_header_with_equal_signs_and_latin_text(tmp_path, gwyddion_field):

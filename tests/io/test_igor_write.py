@@ -16,8 +16,8 @@ from overtone.demo import demo_probe, virtual_scan
 from overtone.errors import ChannelError, ChannelWarning, FileFormatError, ObservablesError, OvertoneWarning
 from overtone.harmonics import far_phase
 from overtone.inversion.properties import map_energy
+from overtone.io.export import save
 from overtone.io.igor_write import write
-from overtone.io.netcdf import save
 from overtone.io.observables import open_scan
 from overtone.io.registry import read_channels
 from overtone.probe import Cantilever, Detector, Drive, Mode, Probe

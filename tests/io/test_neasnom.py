@@ -153,3 +153,18 @@ def test_real_harmonics(afm_data):
     content = file.read_bytes()
     assert channels["M3P"].values[-1, -1] == struct.unpack("<f", content[-4:])[0]
     assert channels["M3P"].values[0, 0] == struct.unpack("<f", content[-800:-796])[0]
+
+
+def test_a_page_that_was_cut_off_within_a_number(make_set):
+    folder = make_set({"Z": VALUES, "M1A": VALUES * 0 + 59.5})
+    (page,) = folder.glob("*.html")
+    text = page.read_text(encoding="utf-8")
+    page.write_text(text[: text.index("595.092")], encoding="utf-8")
+    scan = read_channels(folder)
+    assert "drive_frequency" not in scan.facts  # not 237 Hz
+    assert any(
+        note.endswith("was cut off: settings behind row 1 of its table are missing") for note in scan.notes
+    )
+    # A page without the last tags is whole as long as its rows are.
+    page.write_text(text[: text.index("</table>")], encoding="utf-8")
+    assert not any("cut off" in note for note in read_channels(folder).notes)

@@ -17,7 +17,7 @@ def dataset():
         "A1": (("y", "x"), values, {"units": "nm"}),
         "phi1": (("y", "x"), values, {"units": "deg"}),
         "bare": (("y", "x"), values.astype(np.float32)),
-        "current": (("y", "x"), values, {"units": "A"}),
+        "field": (("y", "x"), values, {"units": "T"}),
         "status": (("y", "x"), np.zeros((2, 3), dtype=np.int8), {"flag_meanings": "good bad"}),
         "F_cons": (("harmonic", "y", "x"), np.stack([values, values]), {"units": "N"}),
     }
@@ -97,7 +97,7 @@ def test_recording(tmp_path, dataset):
         ("A1", "m"),
         ("phi1", "rad"),
         ("bare", None),
-        ("current", None),
+        ("field", None),
     ]
     assert scan.channels[0].values[1, 0] == pytest.approx(4e-9)
     assert np.isnan(scan.channels[0].values[0, 2])
@@ -192,7 +192,7 @@ def test_other_hdf5_is_told_apart(tmp_path):
 
     path = tmp_path / "other.h5"
     with h5py.File(path, "w") as file:
-        file["Measurement_000/data"] = np.ones((3, 3))
+        file["Entry/data"] = np.ones((3, 3))
     with pytest.raises(FileFormatError, match="HDF5, but not in the layout of netCDF"):
         read_channels(path)
     with h5py.File(path, "w") as file:
@@ -234,9 +234,3 @@ def test_load_of_what_is_not_there_or_no_netcdf(tmp_path):
     (tmp_path / "text.nc").write_text("hello")
     with pytest.raises(FileFormatError, match="no netCDF"):
         load(tmp_path / "text.nc")
-
-
-def test_real_hdf5_of_other_layouts(afm_data):
-    for name in ("nsid_h5/DTMicroscope_PMN28Pt0000.h5", "jpk/AFMReader_sample_0.h5-jpk"):
-        with pytest.raises(FileFormatError, match="HDF5"):
-            read_channels(afm_data / name)

@@ -65,16 +65,11 @@ def test_web_page_that_is_no_header(tmp_path):
 @pytest.mark.parametrize(
     ("name", "what"),
     [
-        ("bruker/ST_di-3.di", "Bruker"),
         ("nanosurf/NSFopen_grid1.nid", "Nanosurf"),
-        ("jpk/TopoStats_file.jpk", "TIFF"),
-        ("park/Park_20210916_034.tiff", "TIFF"),
         ("ntmdt/GaAs_map.mdt", "NT-MDT"),
-        ("gwyddion/PTO_110_Virgin0001.gwy", "Gwyddion"),
         ("nanonis/A151216.123306-02602.sxm", "Nanonis"),
         ("agilent/ST_mi-1.mi", "Agilent"),
         ("wsxm/ST_top-1.top", "WSxM"),
-        ("igor_experiment/polar-graphs-demo.pxp", "Igor experiment"),
     ],
 )
 def test_formats_that_are_known_but_not_read(afm_data, name, what):

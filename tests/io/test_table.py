@@ -98,15 +98,15 @@ def test_header_in_a_comment(read_table, tmp_path):
 
 
 def test_units_that_are_unknown_or_open(read_table):
-    scan = read_table("I [A],S [a.u.],E [nm/V],a/b,q [1]\n1,2,3,4,5\n")
+    scan = read_table("B [T],S [a.u.],E [nm/V],a/b,q [1]\n1,2,3,4,5\n")
     assert [(c.name, c.unit) for c in scan.channels] == [
-        ("I", None),
+        ("B", None),
         ("S", None),
         ("E", "m/V"),
         ("a/b", None),
         ("q", "1"),
     ]
-    assert "I: the unit 'A' is not known; values are as in the file" in scan.notes
+    assert "B: the unit 'T' is not known; values are as in the file" in scan.notes
 
 
 def test_missing_cells(read_table):

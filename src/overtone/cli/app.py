@@ -14,6 +14,7 @@ from overtone._version import __version__
 from overtone.cli.calibrate import calibrate_curve
 from overtone.cli.demo import demo
 from overtone.cli.demodulate import demodulate
+from overtone.cli.export import export
 from overtone.cli.inspect import inspect
 from overtone.cli.map import map_scan
 from overtone.cli.models import models
@@ -33,6 +34,7 @@ app.command(demo)
 app.command(inspect)
 app.command(map_scan, name="map")
 app.command(calibrate_curve, name="calibrate")
+app.command(export)
 app.command(plan)
 app.command(models)
 simulate.command(simulate_scan, name="scan")

@@ -4,33 +4,29 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 from rich.console import Console
 
-from overtone.cli.noise import noise_request, resolve_noise
-from overtone.cli.opened import both_ways, first_of, opened
-from overtone.cli.options import ScanOptions
-from overtone.cli.population import (
-    POPULATION,
-    PopulationOptions,
-    Sample,
-    arguments_of,
-    check_scan,
-    no_calibration,
-    sample_of,
-)
+from overtone.cli.batch import BatchOptions, check_batch, map_batch, summary_line
+from overtone.cli.noise import noise_request
+from overtone.cli.options import ScanOptions, parse_rectangle, reading_arguments
+from overtone.cli.population import PopulationOptions, sample_of
 from overtone.cli.priors import parse_priors
 from overtone.cli.progress import progress_bar
 from overtone.errors import OvertoneError
+from overtone.units import parse_quantity
+
+if TYPE_CHECKING:
+    from overtone.batch.settings import Settings
 
 
 def map_scan(
     file: Path,
     /,
     *further: Path,
-    output: Annotated[Path, Parameter(name=["--output", "-o"])],
+    output: Annotated[Path | None, Parameter(name=["--output", "-o"])] = None,
     report: Path | None = None,
     model: str | None = None,
     method: str = "posterior",
@@ -44,6 +40,7 @@ def map_scan(
     reference_area: str | None = None,
     lift: Annotated[bool, Parameter(negative=())] = False,
     population: PopulationOptions = PopulationOptions(),  # noqa: B008 - a frozen record
+    batch: BatchOptions = BatchOptions(),  # noqa: B008 - a frozen record
     scan: ScanOptions = ScanOptions(),  # noqa: B008 - a frozen record
 ) -> None:
     """Map a scan: force, energy, virial and regime always, mechanical properties where the data allow.
@@ -53,9 +50,10 @@ def map_scan(
     file : Path
         Scan, curve or table: .ibw, a neaSNOM folder, netCDF, CSV.
     further : Path
-        Further scans of the same pixels, at other set-points, that population takes together with the first.
+        Further files: with --out-dir each a scan of its own, with --method population and --output scans of the same
+        pixels at other set-points, taken together with the first. Patterns such as "*.ibw" are understood.
     output : Path
-        Result, a netCDF file.
+        Result, a netCDF file; of a Zarr folder, which may be larger than memory, a .zarr.
     report : Path
         Report as one HTML file.
     model : str
@@ -90,114 +88,111 @@ def map_scan(
         Use the lift (Nap) pass of the file, recorded with the drive on, for drift, slopes and background.
     population : PopulationOptions
         What method population is told of the sample.
+    batch : BatchOptions
+        Many files, or many computers.
     scan : ScanOptions
         How the file is to be read.
     """
-    import xarray as xr
+    from dataclasses import replace
 
-    from overtone import provenance
-    from overtone.inversion.properties import map_energy
-    from overtone.io.netcdf import save
-    from overtone.readings import probe_of
-    from overtone.report.content import Report
-    from overtone.report.page import write_report
-    from overtone.report.summary import energy_table, result_tables
+    from overtone.batch.blocks import fits_in_blocks, map_blocks
+    from overtone.batch.inputs import find_files
+    from overtone.batch.mapping import map_scans, report_of
+    from overtone.batch.settings import check_settings, texts_of
+    from overtone.batch.writing import stamps_of, write_map
     from overtone.report.terminal import print_report
 
-    files = (file, *further)
+    check_batch(batch, output, report, population.paper)
+    files = find_files((file, *further))
     told = sample_of(population, method)
-    _check_paths(files, output, report, population.paper)
-    asked = _Request(
-        model,
-        method,
-        _parse_harmonics(harmonics),
-        poisson_ratio,
-        parse_priors(prior),
-        motion,
-        _parse_given(parameter),
-        told,
-        population.paper is not None,
+    if output is not None:
+        _check_paths(files, output, report, population.paper)
+    settings = replace(
+        _reading(scan, calibration, reference_area, lift),
+        model=model,
+        method=method,
+        harmonics=_parse_harmonics(harmonics),
+        poisson_ratio=poisson_ratio,
+        priors=parse_priors(prior),
+        motion=motion,
+        given=_parse_given(parameter),
+        phases=told.phases,
+        reference=told.reference,
+        reference_pixels=told.region,
+        seed=told.seed,
     )
-    _check_request(asked, len(files))
-    wanted = noise_request(noise)
-    observables, correction = opened(files, scan, calibration, reference_area, lift)
-    probe, pooled = probe_of(observables), method == POPULATION
-    first = first_of(observables) if pooled else observables
-    sigma, said = resolve_noise(wanted, first, probe, pair=partial(both_ways, file, scan, probe))
-    observables = provenance.add_finding(observables, said)
-    energies = map_energy(observables, probe, noise=sigma)
-    with progress_bar() as update:
-        result, label, remarks = _properties(observables, asked, sigma, partial(update, "inverting"))
-    observables = provenance.add_finding(observables, *remarks)
-    first = first_of(observables) if pooled else observables
-    scans = observables["A1"].size // first["A1"].size
-    properties: dict[str, xr.Dataset] = {} if result is None else {label: result}
-    shown = first_of(energies) if pooled else energies
-    tables = [energy_table(shown, _other_readings(first))]
-    if result is not None:
-        tables += result_tables(label, result)
-    content = Report(
-        title=f"overtone: {file.name}" + (f" and {len(further)} more" if further else ""),
-        subtitle=" x ".join(map(str, first["A1"].shape))
-        + " pixels"
-        + (f", {scans} scans, of which the first is shown" if scans > 1 else ""),
-        observables=first,
-        energies=shown,
-        properties=properties,
-        tables=tuple(tables),
-        findings=tuple(provenance.findings(observables)),
-        **correction,
-    )
-    merged = observables.merge(energies.drop_attrs(deep=False))
-    if result is not None:
-        merged = merged.merge(result.drop_attrs(deep=False)).assign_attrs(result.attrs)
-    written: list[Path] = []
-    # the reports first: where they cannot be written nothing is
-    try:
-        if report is not None:
-            written.append(write_report(content, report))
-        if population.paper is not None and result is not None:
-            written += _written_paper(population.paper, content, result)
-        save(merged.assign_attrs(findings=observables.attrs.get("findings", "[]")), output)
-    except BaseException:
-        for path in written:
-            path.unlink(missing_ok=True)
-        raise
-    console = Console()
-    print_report(content, console)
+    check_settings(settings, len(files) if output is not None else 1)
+    settings = replace(settings, noise=noise_request(noise))
+    if output is None:
+        map_batch(files, settings, batch)
+        return
+    if fits_in_blocks(files, output, settings, batch.cluster, report, population.paper):
+        with progress_bar() as update:
+            record = map_blocks(
+                files[0], output, settings, cluster=batch.cluster, progress=partial(update, "mapping")
+            )
+        Console().print(summary_line(record.summary))
+    else:
+        stamps = stamps_of(files, output.parent)
+        for_paper = population.paper is not None
+        with progress_bar() as update:
+            mapped = map_scans(files, settings, for_paper=for_paper, progress=partial(update, "inverting"))
+        content = report_of(mapped)
+        write_map(
+            mapped,
+            output,
+            stamps=stamps,
+            settings=texts_of(settings),
+            content=content,
+            report=report,
+            paper=population.paper,
+        )
+        print_report(content, Console())
     for name in (output, report, population.paper):
         if name is not None:
-            console.print(f"wrote {name}", highlight=False, soft_wrap=True, markup=False)
+            Console().print(f"wrote {name}", highlight=False, soft_wrap=True, markup=False)
 
 
-def _written_paper(folder: Path, content: Any, result: Any) -> tuple[Path, ...]:
-    from overtone.report.paper import write_paper
+def _reading(scan: ScanOptions, calibration: Path | None, reference_area: str | None, lift: bool) -> Settings:
+    """Return settings of how a scan is read and corrected."""
+    from overtone.batch.settings import Settings
 
-    return write_paper(
-        folder,
-        content.observables,
-        result,
-        before=content.before,
-        energies=content.energies,
-        curves=content.calibration,
-        title=content.title.removeprefix("overtone: "),
+    radius = parse_quantity(scan.radius, "m", "--radius") if scan.radius else None
+    return Settings(
+        **reading_arguments(scan),
+        radius=radius,
+        direction=scan.direction,
+        frame=scan.frame,
+        calibration=calibration,
+        reference_area=_area(reference_area),
+        lift=lift,
     )
+
+
+def _area(text: str | None) -> str | tuple[float, float, float, float] | None:
+    """Return the reference area of a text: auto, None, or a rectangle [m]."""
+    if text is None or text == "auto":
+        return "auto"
+    if text == "none":
+        return None
+    return parse_rectangle(text, "--reference-area", '"auto", "none" or ')
 
 
 def _check_paths(files: tuple[Path, ...], output: Path, report: Path | None, paper: Path | None) -> None:
     """Refuse outputs that could not be written, or would replace a scan or each other."""
     paths = [path for path in (output, report) if path is not None]
+    zarr = output.suffix.lower() == ".zarr"
     for path in paths:
         if not path.parent.is_dir():
             raise OvertoneError(f"the folder {path.parent} does not exist", hint="create it first")
-        if path.is_dir():
+        if path.is_dir() and not (zarr and path == output and (path / "zarr.json").is_file()):
             raise OvertoneError(f"{path} is a folder", expected="the name of a file")
         if path.resolve() in [file.resolve() for file in files]:
             raise OvertoneError(f"{path} is the scan itself", expected="another name for the result")
     named = [*paths, *([paper] if paper is not None else [])]
     if len({path.resolve() for path in named}) < len(named):
         raise OvertoneError("result and report have the same name", got=str(output))
-    if output.suffix.lower() != ".nc":
+    if output.suffix.lower() != ".nc" and not zarr:
         raise OvertoneError(f"{output.name} is no name for a result", expected="a name that ends in .nc")
     if paper is not None and (not paper.parent.is_dir() or (paper.exists() and not paper.is_dir())):
         raise OvertoneError(
@@ -208,57 +203,9 @@ def _check_paths(files: tuple[Path, ...], output: Path, report: Path | None, pap
         )
 
 
-class _Request(NamedTuple):
-    """What was asked of the inversion."""
-
-    model: str | None
-    method: str
-    harmonics: tuple[int, ...] | None
-    poisson_ratio: float | None
-    priors: dict[str, Any]
-    motion: str
-    given: dict[str, float]
-    sample: Sample
-    paper: bool
-
-
-def _check_request(asked: _Request, files: int) -> None:
-    """Refuse what could not be mapped, whether or not the file allows a modulus."""
-    from overtone.contact.parameters import POISSON_RATIO
-    from overtone.inversion.properties import HARMONIC_SETS, METHODS, MOTIONS, records_of
-
-    if asked.method not in METHODS:
-        raise OvertoneError("unknown method", expected=", ".join(METHODS), got=repr(asked.method))
-    if asked.motion not in MOTIONS:
-        raise OvertoneError("unknown motion", expected=", ".join(MOTIONS), got=repr(asked.motion))
-    if asked.model is not None:
-        records_of(asked.model, asked.method)
-    if asked.priors and asked.method not in ("posterior", POPULATION):
-        raise OvertoneError(
-            "only the posterior has priors", expected="--method posterior or population", got=asked.method
-        )
-    if files > 1 and asked.method != POPULATION:
-        raise OvertoneError(
-            f"{files} scans are mapped one by one",
-            expected="one file, or --method population, which takes scans of the same pixels together",
-            got=f"--method {asked.method}",
-        )
-    if (
-        asked.method == "least-squares"
-        and asked.harmonics is not None
-        and asked.harmonics not in HARMONIC_SETS
-    ):
-        raise OvertoneError(
-            "harmonics do not fit the method", expected="0,1,2 or 1,2,3", got=str(asked.harmonics)
-        )
-    if asked.poisson_ratio is not None:
-        POISSON_RATIO.check(asked.poisson_ratio)
-
-
 def _parse_given(texts: tuple[str, ...]) -> dict[str, float]:
     """Return parameters of the model by name [SI]."""
     from overtone.contact.models import models
-    from overtone.units import parse_quantity
 
     known = {q.name: q for record in models() for q in record.given}
     given = {}
@@ -272,116 +219,6 @@ def _parse_given(texts: tuple[str, ...]) -> dict[str, float]:
             )
         given[name] = parse_quantity(value, known[name].unit, f"--parameter {name}")
     return given
-
-
-def _other_readings(observables: Any) -> list[Any]:
-    """Return the energies of the same scan as its file may be read otherwise."""
-    from overtone.inversion.properties import map_energy
-    from overtone.readings import reading_of
-
-    reading = reading_of(observables)
-    alternatives = reading.alternatives if reading is not None else ()
-    first = observables[["A1", "phi1"]].drop_attrs(deep=False)
-    return [map_energy(first.assign(phi1=first["phi1"] + shift), probe) for probe, shift in alternatives]
-
-
-def _properties(
-    observables: Any, asked: _Request, noise: dict[str, float], progress: Any
-) -> tuple[Any, str, tuple[str, ...]]:
-    """Return the property maps with a label, and what to say of them, or where there are none."""
-    from overtone.inversion.properties import map_properties, undetermined_properties
-    from overtone.inversion.validity import with_validity
-    from overtone.io.observables import missing_for_modulus
-    from overtone.readings import probe_of
-
-    probe = probe_of(observables)
-    orders = _orders(observables, asked)
-    missing = [
-        text
-        for text, absent in (
-            ('the tip radius (--radius "10 nm")', probe.tip.radius is None),
-            ("Poisson's ratio of the sample (--poisson-ratio 0.35)", asked.poisson_ratio is None),
-        )
-        if absent
-    ]
-    if missing and (asked.model is not None or asked.paper) and _needs_a_tip(asked):
-        raise OvertoneError(
-            "a modulus was asked for",
-            expected=" and ".join(missing),
-            got="no value",
-            hint="neither has a default",
-        )
-    if orders is None:
-        reason = f"no modulus: {missing_for_modulus(observables)}."
-        if asked.paper:
-            raise OvertoneError("there is nothing to write a paper of", got=reason.removesuffix("."))
-        if asked.model is None:
-            return None, "", (reason,)
-        return undetermined_properties(first_of(observables), asked.model, reason), "no harmonics", (reason,)
-    if missing and (asked.model is None or _needs_a_tip(asked)):
-        return None, "", (f"no modulus was mapped, because it needs {' and '.join(missing)}.",)
-    model = asked.model or "dmt"
-    sample: dict[str, Any] = {}
-    remarks: tuple[str, ...] = ()
-    if asked.method == POPULATION:
-        check_scan(first_of(observables), orders)
-        sample, remark = arguments_of(asked.sample, first_of(observables), asked.poisson_ratio)
-        remarks = tuple(text for text in (no_calibration(observables), remark) if text)
-    result = map_properties(
-        observables,
-        probe,
-        model=model,
-        poisson_ratio=asked.poisson_ratio,
-        method=asked.method,
-        harmonics=orders,
-        noise=noise,
-        priors=asked.priors,
-        motion=asked.motion,
-        given=asked.given,
-        progress=progress,
-        **sample,
-    )
-    result = with_validity(
-        result,
-        first_of(observables)["A1"],
-        probe,
-        model=model,
-        poisson_ratio=asked.poisson_ratio,
-        harmonics=orders,
-        **asked.given,
-    )
-    return result, "harmonics " + ", ".join(map(str, orders)), remarks
-
-
-def _needs_a_tip(asked: _Request) -> bool:
-    from overtone.inversion.properties import records_of
-
-    records = records_of(asked.model or "dmt", asked.method)
-    return any(q.name == "poisson_ratio" for record in records for q in record.given)
-
-
-def _orders(observables: Any, asked: _Request) -> tuple[int, ...] | None:
-    """Return the harmonics to use, None where too few were measured."""
-    from overtone.errors import InversionError
-    from overtone.inversion.properties import HARMONIC_SETS, harmonics_for
-    from overtone.quantities import harmonic_orders
-
-    measured = set(harmonic_orders(observables))
-    if asked.harmonics is not None:
-        missing = sorted(set(asked.harmonics) - measured)
-        if missing:
-            raise OvertoneError(
-                f"harmonic {missing[0]} was not measured",
-                expected=f"some of {', '.join(map(str, sorted(measured)))}",
-                got=f"--harmonics {','.join(map(str, asked.harmonics))}",
-            )
-        return asked.harmonics
-    if asked.method == "least-squares":
-        return next((orders for orders in HARMONIC_SETS if set(orders) <= measured), None)
-    try:
-        return harmonics_for(observables, asked.model or "dmt", asked.method)
-    except InversionError:
-        return None
 
 
 def _parse_harmonics(text: str | None) -> tuple[int, ...] | None:

@@ -25,7 +25,7 @@ class ScanOptions:
     channel: Annotated[tuple[str, ...], Parameter(name="--channel")] = ()
     """Observable=channel, for example A2=UserIn0; may be repeated."""
     scale: Annotated[tuple[str, ...], Parameter(name="--scale")] = ()
-    """Channel=value of one count, for example M2A="1 nm"; may be repeated."""
+    """Channel=value of one count or one volt, for example M2A="1 nm" or Amplitude="62 nm/V"; may be repeated."""
     far_phase: Annotated[str | None, Parameter(name="--far-phase")] = None
     """Reading of the phase channel far from the surface, for example "88.2 deg"."""
     phase_sign: Annotated[int, Parameter(name="--phase-sign")] = 1
@@ -34,6 +34,8 @@ class ScanOptions:
     """trace or retrace, approach or retract, where the file holds both."""
     corrected: Annotated[bool, Parameter(name="--corrected", negative=())] = False
     """A0 and the higher harmonics were corrected for offset and detector distortion beforehand."""
+    frame: Annotated[int | None, Parameter(name="--frame")] = None
+    """Which frame of a video, from 1."""
 
 
 @Parameter(name="*")
@@ -217,7 +219,7 @@ def reading_arguments(options: ScanOptions) -> dict[str, Any]:
     scales = {}
     for name, text in parse_pairs(options.scale, "--scale").items():
         match = text.rsplit(maxsplit=1)[-1]
-        unit = "rad" if match in ("deg", "rad", "mrad", "°") else "m"
+        unit = "rad" if match in ("deg", "rad", "mrad", "°") else "m/V" if match.endswith("/V") else "m"
         scales[name] = parse_quantity(text, unit, f"--scale {name}")
     return {
         "probe": load_probe(options.probe) if options.probe else None,
@@ -241,7 +243,12 @@ def open_with(
     arguments = reading_arguments(options)
     arguments["probe"] = arguments["probe"] or probe
     observables = open_scan(
-        path, direction=options.direction, lift=lift, keep_offset=keep_offset, **arguments
+        path,
+        direction=options.direction,
+        frame=options.frame,
+        lift=lift,
+        keep_offset=keep_offset,
+        **arguments,
     )
     return with_radius(observables, options.radius)
 

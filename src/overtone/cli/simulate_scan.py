@@ -350,7 +350,7 @@ def _heights(lever: Any, material: Any, bounds: tuple[float, float] | None, poin
 def _write(made: dict[str, Any], files: dict[str, Path | None]) -> list[Path]:
     """Write every file that was asked for, or none."""
     from overtone.io.atomic import atomic_path
-    from overtone.io.netcdf import save
+    from overtone.io.export import save
 
     written = []
     with ExitStack() as stack:

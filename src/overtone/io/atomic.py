@@ -1,9 +1,10 @@
-"""Write a file whole or not at all."""
+"""Write a file or a folder whole or not at all."""
 
 from __future__ import annotations
 
 import secrets
-from collections.abc import Iterator
+import shutil
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -62,3 +63,68 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
         ) from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def atomic_folder(path: str | Path, is_replaceable: Callable[[Path], bool]) -> Iterator[Path]:
+    """Give a temporary folder beside the target and move it there, as one, once the block has ended well.
+
+    A folder cannot replace another in one step. The old one is moved aside, the new one moved in and the old one
+    removed; where the second move fails the old one is moved back. Killed between the two moves, a run leaves no
+    target, and the old folder whole beside it under the name of the target with ``.old`` behind it.
+
+    Parameters
+    ----------
+    path : str or Path
+        Where the folder is to be.
+    is_replaceable : callable
+        Tells of an existing folder there whether it may be replaced: never remove what somebody else put there.
+
+    Yields
+    ------
+    Path
+        Where to write; does not exist yet.
+
+    Raises
+    ------
+    FileFormatError
+        If the folder above does not exist, something else is in the way, or the folder cannot be written.
+    """
+    target = Path(path)
+    if not target.parent.is_dir():
+        raise FileFormatError(
+            f"cannot write {str(target)!r}",
+            expected="an existing folder",
+            got=f"{str(target.parent)!r}, which is none",
+            hint="create the folder first, or check the path",
+        )
+    if target.is_symlink() or (target.exists() and not (target.is_dir() and is_replaceable(target))):
+        raise FileFormatError(
+            f"cannot write {str(target)!r}",
+            expected="a new name, or a folder that overtone may replace",
+            got="a folder with other content" if target.is_dir() else "a file or a link",
+            hint="another name",
+        )
+    token = secrets.token_hex(8)
+    temporary = target.parent / f".{token}.partial{target.suffix}"
+    aside = target.parent / f"{target.name}.{token}.old"
+    try:
+        yield temporary
+        if target.exists():
+            target.rename(aside)
+        try:
+            temporary.rename(target)
+        except BaseException:
+            if aside.exists():
+                aside.rename(target)
+            raise
+    except OSError as error:
+        raise FileFormatError(
+            f"cannot write {str(target)!r}",
+            expected="a folder that can be written to, with space left",
+            got=f"{type(error).__name__} ({error.strerror or error})",
+            hint="another folder",
+        ) from error
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+    shutil.rmtree(aside, ignore_errors=True)

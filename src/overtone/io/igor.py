@@ -2,17 +2,15 @@
 
 Igor stores ``values[column, row, layer]`` with the row counted from the bottom; a map of overtone
 is ``values[row, column]`` with row 0 at the top. Asylum keeps its settings as text behind the
-data, where a key may come twice: once with the value at the start of the scan, and again with the
-value and the line at which somebody changed it, or from another panel. The first one counts.
+data; `overtone.io.asylum` reads it.
 """
 
 from __future__ import annotations
 
 import io
 import math
-import re
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,7 +18,8 @@ import numpy as np
 import numpy.typing as npt
 
 from overtone.errors import FileFormatError
-from overtone.io.recording import Channel, Fact, Recording, Resonance
+from overtone.io import asylum
+from overtone.io.recording import Channel, Fact, Recording
 from overtone.io.si import to_si
 
 _VERSIONS = (1, 2, 3, 5)
@@ -28,28 +27,10 @@ _VERSIONS = (1, 2, 3, 5)
 _ITEM_SIZES = {0x02: 4, 0x04: 8, 0x08: 1, 0x10: 2, 0x20: 4, 0x48: 1, 0x50: 2, 0x60: 4}
 _LABEL_SIZE = 32
 _MOST_LAYERS = 1000
-_LONGEST_NUMBER = 100
-_ASYLUM_KEYS = ("springconstant", "thermalq", "imagingmode", "invols")
-
-# What Asylum's software writes where nobody has calibrated.
-_DEFAULT_STIFFNESS = 1.0
-_DEFAULT_INVOLS = 1e-7
-_DEFAULT_AMP_INVOLS = 1.09e-7
-_DEFAULT_AMP2_INVOLS = 2e-8
-_DEFAULT_THERMAL_Q = 20.0
-_DEFAULT_THERMAL_FREQUENCY = 75000.0
-# Found as the tune of levers that were never tuned, and as the second tune of several instruments.
-_DEFAULT_TUNE_Q = 158.91
-
-_LENGTHS = ("height", "zsensor", "zsnsr", "deflection", "defl", "amplitude", "amp", "raw", "lvdt")
-_ANGLES = ("phase", "phas")
-_FREQUENCIES = ("frequency", "freq")
-_DIRECTION = re.compile(r"(.+?)(Retrace|Trace)(.*)")
-_NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(?:@.*)?")
 
 
 @dataclass(frozen=True)
-class _Layout:
+class Layout:
     """Where the parts of a wave lie in its file."""
 
     dims: tuple[int, ...]
@@ -58,7 +39,7 @@ class _Layout:
 
 
 @dataclass(frozen=True)
-class _Wave:
+class Wave:
     """The parts of a wave that a recording is made of."""
 
     values: npt.NDArray[np.float64]
@@ -93,10 +74,28 @@ def read(path: Path) -> Recording:
     FileFormatError
         If the file is damaged, or holds text, complex numbers or more than three dimensions.
     """
-    wave = _load(path)
-    metadata = _note(wave.note)
-    settings = _Settings(metadata)
-    asylum = any(settings.text(key) is not None for key in _ASYLUM_KEYS)
+    return recording_of(path, path.read_bytes())
+
+
+def recording_of(path: Path, content: bytes) -> Recording:
+    """Return the recording of a wave that is already in memory, as `read` does.
+
+    Parameters
+    ----------
+    path : Path
+        What the recording and messages call it.
+    content : bytes
+        The wave, as a whole .ibw.
+
+    Raises
+    ------
+    FileFormatError
+        As `read` does.
+    """
+    wave = wave_of(path, content)
+    metadata = asylum.entries_of(wave.note)
+    settings = asylum.Settings(metadata)
+    is_asylum = asylum.is_asylum(settings)
     notes: list[str] = []
     coords: dict[str, npt.NDArray[np.float64]] = {}
     labels: Sequence[str] = ()
@@ -122,7 +121,7 @@ def read(path: Path) -> Recording:
         )
     labels = [*labels[: len(layers)], *[""] * (len(layers) - len(labels))]
     channels = tuple(
-        _channel(i, label, layer, wave.unit, asylum, settings)
+        _channel(i, label, layer, wave.unit, settings if is_asylum else None)
         for i, (label, layer) in enumerate(zip(labels, layers, strict=True))
     )
     if not all(labels):
@@ -130,20 +129,20 @@ def read(path: Path) -> Recording:
     without_unit = [channel.name for channel in channels if channel.unit is None]
     if without_unit:
         notes.append(f"no unit in the file: {', '.join(without_unit)}")
-    facts = _facts(settings, {channel.name for channel in channels}) if asylum else {}
-    if asylum:
-        notes.extend(_changed_during_the_scan(wave.note))
+    facts = asylum.facts_of(settings, {channel.name for channel in channels}) if is_asylum else {}
+    if is_asylum:
+        notes.extend(asylum.changed_during_the_scan(asylum.lines_of(wave.note)))
     if dims == ("point",):
         facts |= _sampling_step(wave)
     return Recording(
         path=path,
         format="igor",
-        vendor="asylum" if asylum else "igor",
+        vendor="asylum" if is_asylum else "igor",
         dims=dims,
         coords=coords,
         channels=channels,
         facts=facts,
-        resonances=_resonances(settings, notes) if asylum else (),
+        resonances=asylum.resonances_of(settings, notes) if is_asylum else (),
         metadata=metadata,
         notes=tuple(notes),
     )
@@ -152,9 +151,9 @@ def read(path: Path) -> Recording:
 # --- the file -------------------------------------------------------------------------------------
 
 
-def _load(path: Path) -> _Wave:
-    content = path.read_bytes()
-    layout = _layout(path, content)
+def wave_of(path: Path, content: bytes) -> Wave:
+    """Return the parts of a wave; every size in its header is checked before anything is read."""
+    layout = layout_of(path, content)
 
     from igor2 import binarywave
 
@@ -171,7 +170,7 @@ def _load(path: Path) -> _Wave:
     else:
         steps, starts, axis_units = [header["hsA"]], [header["hsB"]], [_text(header["xUnits"])]
     rank = len(layout.dims)
-    return _Wave(
+    return Wave(
         values=values,
         labels=layout.labels,
         unit=_text(header["dataUnits"]) or _text(wave.get("data_units", b"")),
@@ -182,7 +181,7 @@ def _load(path: Path) -> _Wave:
     )
 
 
-def _layout(path: Path, content: bytes) -> _Layout:
+def layout_of(path: Path, content: bytes) -> Layout:
     """Check every size in the header against the file before anything is read, and find the labels."""
     if len(content) < 8:
         raise _damaged(path, "a header", f"{len(content)} bytes")
@@ -240,7 +239,7 @@ def _layout(path: Path, content: bytes) -> _Layout:
             got=f"shape {dims}",
             hint="take single layers out of it in Igor",
         )
-    return _Layout(dims, labels)
+    return Layout(dims, labels)
 
 
 def _labels(content: bytes, start: int, sizes: Sequence[int]) -> tuple[tuple[str, ...], ...]:
@@ -268,143 +267,10 @@ def _damaged(path: Path, expected: str, got: str) -> FileFormatError:
     )
 
 
-# --- the note -------------------------------------------------------------------------------------
-
-
-def _lines(note: str) -> list[tuple[str, str]]:
-    pairs = (line.partition(":") for line in re.split(r"[\r\n]+", note))
-    return [(key.strip(), value.strip()) for key, colon, value in pairs if colon and key.strip()]
-
-
-def _note(note: str) -> dict[str, str]:
-    entries: dict[str, str] = {}
-    taken: set[str] = set()
-    for key, value in _lines(note):
-        if key.lower() not in taken:
-            taken.add(key.lower())
-            entries[key] = value
-    return entries
-
-
-def _changed_during_the_scan(note: str) -> list[str]:
-    watched = {"drivefrequency", "driveamplitude", "amplitudesetpointvolts", "phaseoffset", "springconstant"}
-    return [
-        f"{key} was changed during the scan, to {value}"
-        for key, value in _lines(note)
-        if key.lower() in watched and "@Line" in value
-    ]
-
-
-class _Settings:
-    """Asylum's settings by key; the case of a key varies between versions of the software."""
-
-    def __init__(self, metadata: Mapping[str, str]) -> None:
-        self._entries = {key.lower(): (key, value) for key, value in metadata.items()}
-
-    def text(self, key: str) -> str | None:
-        """Return the value of a key as text, None where the file has none."""
-        return self._entries.get(key.lower(), ("", None))[1]
-
-    def spelling(self, key: str) -> str:
-        """Return the key as this file writes it."""
-        return self._entries.get(key.lower(), (key, ""))[0]
-
-    def number(self, key: str) -> float | None:
-        """Return the value of a key as a number, None where there is none or it is NaN."""
-        text = self.text(key) or ""
-        match = _NUMBER.fullmatch(text) if len(text) <= _LONGEST_NUMBER else None
-        value = float(match.group(1)) if match else math.nan
-        return value if math.isfinite(value) else None
-
-    def measured(self, key: str) -> float | None:
-        """Return a number that a measurement left; zero stands for "never measured"."""
-        return self.number(key) or None
-
-
 # --- what it says ---------------------------------------------------------------------------------
 
 
-def _facts(settings: _Settings, channels: set[str]) -> dict[str, Fact]:
-    facts: dict[str, Fact] = {}
-
-    def add(name: str, value: float | None, unit: str, key: str, default: bool = False) -> None:
-        if value is not None:
-            facts[name] = Fact(value, unit, key, default)
-
-    stiffness = settings.measured("SpringConstant")
-    add("stiffness", stiffness, "N/m", settings.spelling("SpringConstant"), stiffness == _DEFAULT_STIFFNESS)
-    add("drive_frequency", settings.measured("DriveFrequency"), "Hz", settings.spelling("DriveFrequency"))
-    add(
-        "second_lockin_frequency",
-        settings.measured("DriveFrequency1"),
-        "Hz",
-        settings.spelling("DriveFrequency1"),
-    )
-
-    sensitivity = settings.measured("AmpInvOLS")
-    uncalibrated = sensitivity is not None and math.isclose(sensitivity, _DEFAULT_AMP_INVOLS, rel_tol=1e-4)
-    sensitivity_key = settings.spelling("AmpInvOLS")
-    add("amplitude_sensitivity", sensitivity, "m/V", sensitivity_key, uncalibrated)
-    for channel, key, default in (
-        ("Deflection", "InvOLS", _DEFAULT_INVOLS),
-        ("Defl", "InvOLS", _DEFAULT_INVOLS),
-        ("Amplitude2", "Amp2InvOLS", _DEFAULT_AMP2_INVOLS),
-    ):
-        if channel in channels:
-            scale = settings.measured(key)
-            is_default = scale is not None and math.isclose(scale, default, rel_tol=1e-4)
-            add(f"scale:{channel}", scale, "m/V", settings.spelling(key), is_default)
-
-    if any(channel.startswith("Nap") for channel in channels):
-        for name, key, unit in (
-            ("lift_height", "NapHeight", "m"),
-            ("drive_amplitude", "DriveAmplitude", "V"),
-            ("lift_drive_amplitude", "NapDriveAmplitude", "V"),
-            ("lift_drive_frequency", "NapDriveFrequency", "Hz"),
-        ):
-            add(name, settings.measured(key), unit, settings.spelling(key))
-
-    amplitudes = {"free_amplitude": "FreeAirAmplitude", "tune_amplitude": "TunePeakResult"}
-    # The amplitude set-point governs the scan only where the amplitude is the feedback.
-    if settings.text("ImagingMode") in (None, "AC Mode"):
-        amplitudes["setpoint_amplitude"] = "AmplitudeSetpointVolts"
-    for name, key in amplitudes.items():
-        volts = settings.measured(key)
-        if volts is not None and sensitivity is not None:
-            add(name, volts * sensitivity, "m", f"{settings.spelling(key)} x {sensitivity_key}", uncalibrated)
-    phase = settings.measured("FreeAirPhase")
-    add(
-        "free_phase", None if phase is None else math.radians(phase), "rad", settings.spelling("FreeAirPhase")
-    )
-    return facts
-
-
-def _resonances(settings: _Settings, notes: list[str]) -> tuple[Resonance, ...]:
-    resonances: list[Resonance] = []
-    for source, frequency_key, quality_key, default_frequency, default_quality in (
-        ("thermal", "ThermalFrequency", "ThermalQ", _DEFAULT_THERMAL_FREQUENCY, _DEFAULT_THERMAL_Q),
-        ("tune", "TuneFreqResult", "TuneQResult", None, _DEFAULT_TUNE_Q),
-    ):
-        frequency, quality = settings.measured(frequency_key), settings.measured(quality_key)
-        if frequency is None or quality is None:
-            continue
-        default = frequency == default_frequency or quality == default_quality
-        # The note rounds to five digits; the resonance of the lever may stand there in full.
-        full = settings.measured("ResFreq1")
-        if full is not None and full != frequency and float(f"{full:.5g}") == frequency:
-            notes.append(
-                f"{settings.spelling(frequency_key)} {frequency:g} Hz is rounded; "
-                f"{settings.spelling('ResFreq1')} gives it in full, {full:.2f} Hz"
-            )
-            frequency, frequency_key = full, "ResFreq1"
-        # A thermal fit and a tune that agree to the last digit are one measurement written down twice.
-        if not any((r.frequency, r.quality_factor) == (frequency, quality) for r in resonances):
-            keys = (settings.spelling(frequency_key), settings.spelling(quality_key))
-            resonances.append(Resonance(source, frequency, quality, keys, default))
-    return tuple(resonances)
-
-
-def _sampling_step(wave: _Wave) -> dict[str, Fact]:
+def _sampling_step(wave: Wave) -> dict[str, Fact]:
     """Return the time between points, where the scaling of the wave is a time."""
     known = to_si(wave.axis_units[0]) if wave.axis_units[0] else None
     if known is None or known[1] != "s" or not (wave.steps[0] > 0.0 and math.isfinite(wave.steps[0])):
@@ -417,44 +283,27 @@ def _channel(
     label: str,
     values: npt.NDArray[np.float64],
     wave_unit: str,
-    asylum: bool,
-    settings: _Settings,
+    settings: asylum.Settings | None,
 ) -> Channel:
-    name, direction = label, None
-    match = _DIRECTION.fullmatch(label)
-    if match:
-        # What follows the direction marks a processed copy and keeps it apart from the original.
-        name, direction = match.group(1) + match.group(3), match.group(2).lower()
-    known = _unit_of_kind(name) if asylum and label else to_si(wave_unit) if wave_unit else None
+    """Return a layer as a channel; ``settings`` are Asylum's, None for other waves."""
+    name, direction = asylum.split_label(label)
+    known = to_si(wave_unit) if wave_unit else None
+    if settings is not None and label:
+        known = asylum.unit_of_kind(name)
     factor, unit = known if known is not None else (1.0, None)
     return Channel(
         name=name or f"layer {index + 1}",
         values=np.ascontiguousarray(values * factor),
         unit=unit,
         direction=direction,
-        nap=name.startswith("Nap"),
-        flattened=_flattened(index, settings),
+        nap=asylum.is_nap(name),
+        flattened=None if settings is None else asylum.is_flattened(index, settings),
     )
 
 
-def _unit_of_kind(name: str) -> tuple[float, str] | None:
-    kind = re.sub(r"(?:Mod)?\d*$", "", name.removeprefix("Nap")).lower()
-    if kind in _LENGTHS:
-        return 1.0, "m"
-    if kind in _ANGLES:
-        return math.pi / 180.0, "rad"
-    if kind in _FREQUENCIES:
-        return 1.0, "Hz"
-    return None
-
-
-def _flattened(index: int, settings: _Settings) -> bool | None:
-    orders = [settings.number(f"{key} {index}") for key in ("FlattenOrder", "PlanefitOrder")]
-    stated = [order for order in orders if order is not None]
-    return any(order >= 0 for order in stated) if stated else None
-
-
-def _coordinates(wave: _Wave, settings: _Settings, notes: list[str]) -> dict[str, npt.NDArray[np.float64]]:
+def _coordinates(
+    wave: Wave, settings: asylum.Settings, notes: list[str]
+) -> dict[str, npt.NDArray[np.float64]]:
     """Return coordinates in metres: point i lies at i steps, the step being size / (points - 1)."""
     axes = {}
     for name, axis, size_key in (("x", 0, "FastScanSize"), ("y", 1, "SlowScanSize")):

@@ -61,8 +61,8 @@ def read(path: Path) -> Recording:
         If a file of the set is damaged or the folder holds several measurements.
     """
     measurement = _find(path)
-    settings = _settings(measurement.page)
     notes: list[str] = []
+    settings = _settings(measurement.page, notes)
     fields = {token: gsf.read_field(file) for token, file in measurement.fields.items()}
     first = fields.get("Z") or next(iter(fields.values()))
     backward = any(token.startswith("R-") for token in fields)
@@ -181,11 +181,14 @@ class _Table(HTMLParser):
     def __init__(self) -> None:
         super().__init__(convert_charrefs=True)
         self.rows: list[_Row] = []
+        self.is_whole = True
+        """Whether the last row has an end; else the page was cut off, perhaps within a number."""
         self._inside = False
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         if tag == "tr":
             self.rows.append(_Row())
+            self.is_whole = False
         elif tag in ("td", "th") and self.rows:
             self.rows[-1].cells.append("")
         self._inside = tag in ("td", "th") or (self._inside and tag != "tr")
@@ -193,13 +196,15 @@ class _Table(HTMLParser):
     def handle_endtag(self, tag: str) -> None:
         if tag in ("td", "th", "tr"):
             self._inside = False
+        if tag in ("tr", "table"):
+            self.is_whole = True
 
     def handle_data(self, data: str) -> None:
         if self._inside and self.rows and self.rows[-1].cells:
             self.rows[-1].cells[-1] += data
 
 
-def _settings(page: Path) -> dict[str, _Entry]:
+def _settings(page: Path, notes: list[str]) -> dict[str, _Entry]:
     content = page.read_bytes()
     try:
         text = content.decode("utf-8-sig")
@@ -209,7 +214,11 @@ def _settings(page: Path) -> dict[str, _Entry]:
     table.feed(text)
     table.close()
     entries: dict[str, _Entry] = {}
-    for row in table.rows:
+    rows = table.rows
+    if not table.is_whole:
+        rows = rows[:-1]
+        notes.append(f"{page.name} was cut off: settings behind row {len(rows)} of its table are missing")
+    for row in rows:
         caption, *cells = [cell.replace("\xa0", " ").strip() for cell in row.cells] or [""]
         if not caption.endswith(":"):
             continue

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from collections import Counter
 from collections.abc import Hashable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +14,7 @@ import xarray as xr
 
 from overtone.errors import FileFormatError, ObservablesError
 from overtone.io.atomic import atomic_path
+from overtone.io.attributes import as_text, storable_attributes
 from overtone.io.recording import Channel, Fact, Recording
 from overtone.io.si import to_si
 from overtone.quantities import LIFT
@@ -40,46 +39,35 @@ def sniff(path: Path, head: bytes) -> bool:
 
 
 def save(dataset: xr.Dataset, path: str | Path) -> None:
-    """Write a dataset to a netCDF file, whole or not at all; observables also as an Igor wave.
+    """Write a dataset to a netCDF file, whole or not at all.
 
-    In netCDF arrays of floats are compressed without loss. The file ends with a digest, so that damage is
-    noticed when it is read again. Attributes that netCDF cannot hold, such as None,
-    truth values and nested records, are written as JSON text. A name that ends in ``.ibw`` gives the layout of
-    Asylum's microscopes; `overtone.io.igor_write.write` says what such a file cannot hold.
+    Arrays of floats are compressed without loss. The file ends with a digest, so that damage is noticed when it is
+    read again. Attributes that netCDF cannot hold, such as None, truth values and nested records, are written as JSON
+    text. `overtone.io.export.save` writes other formats as well.
 
     Parameters
     ----------
     dataset : Dataset
         Observables, force harmonics, properties or anything else xarray holds.
     path : str or Path
-        Name that ends in ``.nc`` or ``.ibw``; an existing file is replaced once the new one is complete.
+        Name that ends in ``.nc``; an existing file is replaced once the new one is complete.
 
     Raises
     ------
     FileFormatError
-        If the name ends in neither .nc nor .ibw, the folder does not exist or the file cannot be written.
+        If the name ends otherwise, the folder does not exist or the file cannot be written.
     ObservablesError
         If the argument is no dataset, or holds arrays that the format cannot.
     """
     target = Path(path)
-    if target.suffix.lower() not in (".nc", ".ibw"):
+    if target.suffix.lower() != ".nc":
         raise FileFormatError(
-            f"cannot save as {target.name!r}",
-            expected="a name that ends in .nc (netCDF) or .ibw (observables as an Igor wave)",
+            f"cannot save {target.name!r} as netCDF",
+            expected="a name that ends in .nc",
             got=repr(target.suffix),
+            hint="overtone.save for other formats",
         )
-    if not isinstance(dataset, xr.Dataset):
-        raise ObservablesError(
-            "only datasets can be saved",
-            expected="an xarray.Dataset",
-            got=type(dataset).__name__,
-            hint="array.to_dataset(name=...) for a single array",
-        )
-    if target.suffix.lower() == ".ibw":
-        from overtone.io.igor_write import write as write_igor
-
-        write_igor(dataset, target)
-        return
+    check_dataset(dataset)
     for name, array in dataset.variables.items():
         if array.dtype.kind == "c":
             raise ObservablesError(
@@ -87,9 +75,9 @@ def save(dataset: xr.Dataset, path: str | Path) -> None:
                 hint="save real and imaginary part, or amplitude and phase, as two variables",
             )
     storable = dataset.drop_encoding().assign_attrs()
-    storable.attrs = _storable(dataset.attrs)
+    storable.attrs = storable_attributes(dataset.attrs)
     for name in storable.variables:
-        storable[name].attrs = _storable(dataset[name].attrs)
+        storable[name].attrs = storable_attributes(dataset[name].attrs)
     encoding = {
         name: {"zlib": True, "complevel": 4}
         for name, array in storable.variables.items()
@@ -109,6 +97,23 @@ def save(dataset: xr.Dataset, path: str | Path) -> None:
         digest = _digest(temporary, temporary.stat().st_size)
         with temporary.open("ab") as stream:
             stream.write(_SEAL + digest)
+
+
+def check_dataset(dataset: object) -> None:
+    """Refuse what is no dataset.
+
+    Raises
+    ------
+    ObservablesError
+        If it is none.
+    """
+    if not isinstance(dataset, xr.Dataset):
+        raise ObservablesError(
+            "only datasets can be saved",
+            expected="an xarray.Dataset",
+            got=type(dataset).__name__,
+            hint="array.to_dataset(name=...) for a single array",
+        )
 
 
 def load(path: str | Path) -> xr.Dataset:
@@ -164,6 +169,17 @@ def read(path: Path) -> Recording:
     """
     with path.open("rb") as stream:
         dataset = _load(path, stream.read(8))
+    return recording_of(path, dataset, "netcdf")
+
+
+def recording_of(path: Path, dataset: xr.Dataset, form: str) -> Recording:
+    """Return the recording that a dataset is, as `read` does; ``form`` is the key of the file's format.
+
+    Raises
+    ------
+    FileFormatError
+        If it holds no channel.
+    """
     notes: list[str] = []
     stated = dataset.attrs.get("direction")
     only = str(stated) if stated in _DIRECTIONS else None
@@ -182,7 +198,7 @@ def read(path: Path) -> Recording:
             f"{path.name} holds no channel",
             expected="arrays of floats over y and x, z, time or point",
             got=_listed({name: array.dims for name, array in dataset.data_vars.items()}) or "no variables",
-            hint="a file that overtone saved, or a netCDF file with these dimension names",
+            hint="a file that overtone saved, or one with these dimension names",
         )
     dims = _common_dims({name: array for name, array, _ in usable})
     channels = [
@@ -193,16 +209,16 @@ def read(path: Path) -> Recording:
         notes.append(
             f"left out, because they are not floats over {' and '.join(dims)}: {', '.join(left_out)}"
         )
-    metadata = {str(key): _as_text(value) for key, value in dataset.attrs.items()}
+    metadata = {str(key): as_text(value) for key, value in dataset.attrs.items()}
     if "z" in dims and "z" in dataset.coords and "zero" in dataset["z"].attrs:
-        metadata["zero of z"] = _as_text(dataset["z"].attrs["zero"])
+        metadata["zero of z"] = as_text(dataset["z"].attrs["zero"])
     facts = {}
     lift_height = dataset.attrs.get("lift_height")
     if isinstance(lift_height, float | np.floating) and any(channel.nap for channel in channels):
         facts["lift_height"] = Fact(float(lift_height), "m", "lift_height")
     return Recording(
         path=path,
-        format="netcdf",
+        format=form,
         vendor="overtone",
         dims=dims,
         coords=_coordinates(dataset, dims, notes),
@@ -234,7 +250,7 @@ def _load(path: Path, head: bytes) -> xr.Dataset:
                 f"{path.name} is HDF5, but not in the layout of netCDF",
                 expected="arrays with named dimensions at the top of the file",
                 got="none",
-                hint="export other HDF5 files (.h5, .h5-jpk, NSID) as netCDF or .gsf",
+                hint="export other HDF5 files as netCDF or .gsf",
             )
         # Compressed arrays may be larger than the file, but not by any factor.
         claimed, size = dataset.nbytes, path.stat().st_size
@@ -248,15 +264,26 @@ def _load(path: Path, head: bytes) -> xr.Dataset:
         return dataset.load()
 
 
-def _check_seal(path: Path) -> None:
-    """Refuse a sealed file that has changed, before HDF5, which damage can send into endless loops."""
+def is_sealed(path: Path) -> bool:
+    """Tell whether a file ends as those do that overtone saves, whatever else is in it."""
+    return _seal(path) is not None
+
+
+def _seal(path: Path) -> tuple[int, bytes] | None:
+    """Return how long the content before a seal is, and the digest in it; None where there is no seal."""
     size = path.stat().st_size - len(_SEAL) - _DIGEST_SIZE
     if size < 0:
-        return
+        return None
     with path.open("rb") as stream:
         stream.seek(size)
         end = stream.read()
-    if end.startswith(_SEAL) and end.removeprefix(_SEAL) != _digest(path, size):
+    return (size, end.removeprefix(_SEAL)) if end.startswith(_SEAL) else None
+
+
+def _check_seal(path: Path) -> None:
+    """Refuse a sealed file that has changed, before HDF5, which damage can send into endless loops."""
+    found = _seal(path)
+    if found is not None and found[1] != _digest(path, found[0]):
         raise FileFormatError(
             f"{path.name} is damaged",
             expected="the content that overtone saved",
@@ -296,7 +323,7 @@ def _reading(path: Path) -> Iterator[None]:
             f"{path.name} cannot be read as netCDF",
             expected="a whole HDF5 file in the layout of netCDF 4",
             got=f"{type(error).__name__} ({str(error)[:200]})",
-            hint="copy the file again, or export other HDF5 files (.h5, .h5-jpk, NSID) as netCDF or .gsf",
+            hint="copy the file again, or export other HDF5 files as netCDF or .gsf",
         ) from error
 
 
@@ -359,36 +386,3 @@ def _coordinates(
 
 def _listed(dims: dict[Hashable, tuple[Hashable, ...]]) -> str:
     return ", ".join(f"{name}({', '.join(map(str, over))})" for name, over in list(dims.items())[:8])
-
-
-# --- attributes -----------------------------------------------------------------------------------
-
-
-def _storable(attributes: dict[Any, Any]) -> dict[str, Any]:
-    return {str(key): _attribute(value) for key, value in attributes.items()}
-
-
-def _attribute(value: Any) -> Any:
-    if isinstance(value, str):
-        return value.replace("\0", "")  # HDF5 text ends at a zero byte
-    if isinstance(value, bool | np.bool_):
-        return json.dumps(bool(value))
-    if isinstance(value, float | np.floating | np.integer):
-        return value
-    if isinstance(value, int) and -(2**63) <= value < 2**63:
-        return value
-    if isinstance(value, list | tuple) and all(type(item) in (int, float) for item in value):
-        value = np.array(value)
-    if isinstance(value, np.ndarray) and value.ndim == 1 and value.size and value.dtype.kind in "iuf":
-        return value
-    return _as_text(value)
-
-
-def _as_text(value: Any) -> str:
-    if isinstance(value, str):
-        return value
-    if isinstance(value, bytes):
-        return value.decode("latin-1").replace("\0", "")
-    if isinstance(value, np.ndarray | np.generic):
-        value = value.tolist()
-    return json.dumps(value, default=str)

@@ -24,7 +24,7 @@ from overtone.io.opening import kept_warnings, with_history
 from overtone.io.recording import Recording
 from overtone.io.registry import read_channels
 from overtone.io.resonance import PLAUSIBLE_PHASE, free_phase_error, rank_resonances
-from overtone.io.selection import Request, check_request, choose, drop_unpaired, in_si
+from overtone.io.selection import Request, check_request, choose, drop_unpaired, in_si, one_frame
 from overtone.io.vendors import Vendor, vendor_of
 from overtone.probe import SLOPE, Probe
 from overtone.quantities import harmonic_orders, named_array, validate_observables
@@ -42,6 +42,9 @@ _AXES = {
     "z": ("m", "height of the base"),
     "time": ("s", "time"),
 }
+# Where files name the imaging mode, and what they call tapping.
+_MODE_KEYS = ("ImagingMode", "@MicroscopeList")
+_TAPPING = ("AC Mode", "Tapping", 'S [TMMode] "Tapping"')
 # Settings of a lift pass that differ from those of the main one by more than their digits in the file.
 _SAME_SETTING = 1e-5
 
@@ -58,6 +61,7 @@ def open_scan(
     corrected: bool = False,
     lift: bool = False,
     keep_offset: bool = False,
+    frame: int | None = None,
 ) -> xr.Dataset:
     """Open a scan, a curve or a table as observables.
 
@@ -71,7 +75,7 @@ def open_scan(
     channels : mapping of str to str, optional
         Observable to channel name, for example ``{"A2": "UserIn0"}``, before the vendor's own names.
     scales : mapping of str to float, optional
-        Channel name to the SI value of one count, for channels without a unit.
+        Channel name to the SI value of one count, for channels without a unit, or of one volt, for lengths in volts.
     far_phase : float, optional
         Reading of the first-harmonic phase channel far from the surface [rad]. Without it the vendor's zero
         is taken where it is known; where it is not, this is required.
@@ -86,6 +90,8 @@ def open_scan(
         variables ``lift_A0``, ``lift_A1``, ... of a netCDF file. Its A0 is kept whatever its offset.
     keep_offset : bool
         True keeps A0 whatever its offset, for a scan that a calibration is to correct (`overtone.correct`).
+    frame : int, optional
+        Which frame of a video, from 1; needed where a file has several.
 
     Returns
     -------
@@ -115,6 +121,7 @@ def open_scan(
         corrected,
         lift,
         keep_offset=lift or keep_offset,
+        frame=frame,
     )
     with kept_warnings() as said:
         recording = read_channels(path)
@@ -130,6 +137,7 @@ def observables_of(recording: Recording, request: Request) -> xr.Dataset:
     OvertoneError
         As `open_scan` does.
     """
+    recording = one_frame(recording, request.frame)
     check_request(recording, request)
     chosen = choose(recording, request)
     reading = _reading(recording, request)
@@ -137,7 +145,7 @@ def observables_of(recording: Recording, request: Request) -> xr.Dataset:
     turn = _turn(recording, vendor, reading.probe, request)
     coords = coordinates_of(recording)
     arrays: dict[str, xr.DataArray] = {}
-    for name, values in in_si(chosen, request).items():
+    for name, values in in_si(chosen, request, recording.facts).items():
         if name.startswith("phi"):
             values = request.phase_sign * values + int(name[3:]) * turn
         arrays[name] = named_array(name, values, recording.dims, coords, channel=chosen[name].name)
@@ -247,11 +255,15 @@ def _turn(recording: Recording, vendor: Vendor, probe: Probe, request: Request) 
     if request.far_phase is not None:
         return far_phase(probe) - request.phase_sign * request.far_phase
     if not vendor.phase_known:
+        free = recording.facts.get("free_phase")
+        reading = f"{math.degrees(free.value):.4g} deg" if free else "1.57 rad"
         raise ChannelError(
             f"the zero of the phase in {recording.path.name} is not known",
             expected="the reading of the phase channel far from the surface, as a reference",
             got=vendor.phase_note,
-            hint='--far-phase "1.57 rad", and --phase-sign -1 if the stored phases are leads',
+            hint=f'--far-phase "{reading}"'
+            + (f" if that is what {free.key} in the file means" if free else "")
+            + ", and --phase-sign -1 if the stored phases are leads",
         )
     return 0.0
 
@@ -308,8 +320,8 @@ def _doubts(dataset: xr.Dataset, reading: Reading, vendor: Vendor) -> dict[int, 
 
 def _is_tapping(recording: Recording) -> bool:
     """Warn where the file says that it was not recorded in tapping mode."""
-    mode = recording.metadata.get("ImagingMode", "AC Mode")
-    if mode == "AC Mode":
+    mode = next((recording.metadata[key] for key in _MODE_KEYS if key in recording.metadata), "AC Mode")
+    if mode in _TAPPING:
         return True
     warnings.warn(
         f"the file says {mode}, not AC mode: if its amplitude is no tapping amplitude, nothing here holds; no regime "

@@ -43,6 +43,7 @@ def with_history(
         direction=request.direction,
         corrected=request.corrected,
         **({"lift": True} if request.lift else {}),
+        **({"frame": request.frame} if request.frame else {}),
     )
 
 

@@ -54,7 +54,7 @@ class Resonance:
     """A pair of resonance frequency [Hz] and quality factor that the file holds."""
 
     source: str
-    """``tune`` or ``thermal``: how it was measured."""
+    """``tune`` or ``thermal``: how it was measured; ``nominal`` where nobody is known to have."""
     frequency: float
     quality_factor: float
     keys: tuple[str, str]

@@ -7,7 +7,23 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from overtone.errors import FileFormatError, OvertoneError
-from overtone.io import gsf, igor, neasnom, netcdf, table
+from overtone.io import (
+    gsf,
+    gwy,
+    gwyddion_bridge,
+    igor,
+    igor_experiment,
+    jpk,
+    jpk_h5,
+    nanoscope,
+    nanosurf,
+    neasnom,
+    netcdf,
+    nsid,
+    park,
+    table,
+    zarr_store,
+)
 from overtone.io.recording import Recording
 
 _HEAD = 4096
@@ -41,27 +57,41 @@ class Format:
 # In the order in which they are tried: a field of a neaSNOM set is also a lone .gsf, and nearly
 # anything that is text might be a table.
 FORMATS: tuple[Format, ...] = (
+    Format(
+        "igor_experiment",
+        "packed Igor experiment (.pxp)",
+        (".pxp",),
+        igor_experiment.sniff,
+        igor_experiment.read,
+    ),
     Format("igor", "Igor binary wave (.ibw)", (".ibw",), igor.sniff, igor.read),
     Format("neasnom", "neaSNOM folder", (".html", ".gsf"), neasnom.sniff, neasnom.read),
+    Format("nanosurf", "Nanosurf (.nid)", (".nid",), nanosurf.sniff, nanosurf.read),
+    Format(
+        "nanoscope", "Bruker NanoScope (.spm, .000)", (".spm", ".000", ".di"), nanoscope.sniff, nanoscope.read
+    ),
     Format("gsf", "Gwyddion Simple Field (.gsf)", (".gsf",), gsf.sniff, gsf.read),
+    Format("jpk", "JPK image (.jpk)", (".jpk", ".jpk-qi-image"), jpk.sniff, jpk.read),
+    Format("jpk_h5", "JPK image or video (.h5-jpk)", (".h5-jpk",), jpk_h5.sniff, jpk_h5.read),
+    Format("park", "Park image (.tiff) or folder of one scan", (".tiff", ".tif"), park.sniff, park.read),
+    Format("gwy", "Gwyddion (.gwy)", (".gwy",), gwy.sniff, gwy.read),
+    Format("nsid", "NSID or USID of pycroscopy (.h5)", (".h5", ".hf5"), nsid.sniff, nsid.read),
+    Format("zarr", "Zarr store (.zarr)", (".zarr",), zarr_store.sniff, zarr_store.read),
     Format("netcdf", "netCDF (.nc)", (".nc",), netcdf.sniff, netcdf.read),
+    Format(
+        "gwyddion",
+        "what Gwyddion reads of Nanonis, NT-MDT, WSxM, Agilent, ...",
+        (".sxm", ".mdt", ".top", ".mi", ".sm4"),
+        gwyddion_bridge.sniff,
+        gwyddion_bridge.read,
+    ),
     Format("table", "table of text with units (.csv)", (".csv", ".tsv"), table.sniff, table.read),
 )
 
 # Files that people have and overtone does not read yet, by their first bytes.
 _OTHERS = (
-    (b"\\*File list", "a Bruker NanoScope file"),
-    (b"\\*Force file list", "a Bruker NanoScope force file"),
-    (b"[DataSet]", "a Nanosurf file"),
-    (b"GWYP", "a Gwyddion file"),
-    (b"GWYO", "a Gwyddion 1 file"),
-    (b":NANONIS_VERSION:", "a Nanonis scan"),
-    (b"II*\0", "a TIFF image (JPK and Park write these)"),
-    (b"MM\0*", "a TIFF image (JPK and Park write these)"),
-    (b"\x01\xb0\x93\xff", "an NT-MDT file"),
-    (b"WSxM file copyright", "a WSxM file"),
-    (b"fileType      Image", "an Agilent or Keysight file"),
-    (b"\x0b\x00\x00\x00", "an Igor experiment"),
+    (b"II*\0", "a TIFF picture: colours, without the numbers that JPK and Park add to theirs"),
+    (b"MM\0*", "a TIFF picture: colours, without the numbers that JPK and Park add to theirs"),
     (b"PK\x03\x04", "a ZIP archive or spreadsheet"),
 )
 
@@ -74,7 +104,8 @@ def read_channels(path: str | Path) -> Recording:
     Parameters
     ----------
     path : str or Path
-        A file, or the folder of a neaSNOM measurement.
+        A file, the folder of a neaSNOM measurement or a Zarr store; ``experiment.pxp::Image0`` is one wave of an
+        Igor experiment that holds several.
 
     Returns
     -------
@@ -86,12 +117,14 @@ def read_channels(path: str | Path) -> Recording:
     FileFormatError
         If the path is missing, the format is not known, or the file is damaged.
     """
-    source = Path(path)
+    source, wave = igor_experiment.split(Path(path))
     try:
         head = _head(source)
         chosen = next((known for known in FORMATS if known.sniff(source, head)), None)
         if chosen is None:
             raise _unrecognised(source, head)
+        if wave is not None:
+            return _one_wave(source, chosen, wave)
         return chosen.read(source)
     except OvertoneError:
         raise
@@ -112,6 +145,17 @@ def read_channels(path: str | Path) -> Recording:
             got=f"{type(error).__name__} ({str(error)[:200]})",
             hint="copy or export the file again",
         ) from error
+
+
+def _one_wave(source: Path, chosen: Format, wave: str) -> Recording:
+    if chosen.key != "igor_experiment":
+        raise FileFormatError(
+            f"{source.name} has no parts to choose from",
+            expected=f"the name of an Igor experiment before {igor_experiment.SEPARATOR}{wave}",
+            got=chosen.title,
+            hint=repr(source.name),
+        )
+    return igor_experiment.read(source, wave)
 
 
 def _head(path: Path) -> bytes:
@@ -146,8 +190,8 @@ def _unrecognised(path: Path, head: bytes) -> FileFormatError:
     if path.is_dir():
         return FileFormatError(
             f"{str(path)!r} is a folder",
-            expected="one file, or a neaSNOM folder of .gsf files with their .html page",
-            got="neither",
+            expected="one file, a neaSNOM folder of .gsf files with their .html page, or a Zarr store",
+            got="none of these",
             hint="a file in it",
         )
     other = next((name for magic, name in _OTHERS if head.startswith(magic)), None)

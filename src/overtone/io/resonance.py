@@ -16,6 +16,8 @@ from overtone.units import format_quantity
 
 PLAUSIBLE_PHASE = math.radians(10.0)
 """A free-air phase further than this from every prediction leaves the zero of the phase open [rad]."""
+NOMINAL = "nominal"
+"""Source of a resonance that stands where a catalogue's values stand until somebody measures it."""
 _ORDER = {"tune": 0, "thermal": 1}
 
 
@@ -74,7 +76,7 @@ def rank_resonances(recording: Recording, *, referenced: bool = False) -> tuple[
     Returns
     -------
     tuple of ResonanceTest
-        The one to use first. Factory defaults are left out, unless there is nothing else.
+        The one to use first, of those that `usable_resonances` returns.
 
     Raises
     ------
@@ -84,15 +86,17 @@ def rank_resonances(recording: Recording, *, referenced: bool = False) -> tuple[
     Warns
     -----
     UncalibratedWarning
-        If a quantity the probe needs is a factory default.
+        If a quantity the probe needs is a factory default, or its resonance may be a catalogue's.
     ResonanceWarning
         If there are several resonances: the choice and its evidence; or if none fits.
     """
     facts = recording.facts
     needed = ("stiffness", "drive_frequency", "free_amplitude")
     missing = [name for name in needed if name not in facts]
-    if not recording.resonances:
-        missing.append("resonance frequency and quality factor")
+    usable = usable_resonances(recording)
+    if not usable:
+        catalogue = "; ".join(map(_of_the_catalogue, recording.resonances))
+        missing.append("resonance frequency and quality factor" + (f" ({catalogue})" if catalogue else ""))
     if missing:
         raise ProbeError(
             f"{recording.path.name} does not describe its probe",
@@ -101,8 +105,9 @@ def rank_resonances(recording: Recording, *, referenced: bool = False) -> tuple[
             hint='a probe file: --probe probe.toml with [cantilever] stiffness = "16.4 N/m" ...',
         )
     defaults = [facts[name].key for name in needed if facts[name].factory_default]
-    usable = [r for r in recording.resonances if not r.factory_default]
-    defaults += [key for r in recording.resonances if r.factory_default for key in r.keys]
+    defaults += [
+        key for r in recording.resonances if r.factory_default and r.source != NOMINAL for key in r.keys
+    ]
     if defaults:
         warnings.warn(
             f"{recording.path.name} holds factory defaults for {', '.join(defaults)}: the probe was not "
@@ -110,8 +115,17 @@ def rank_resonances(recording: Recording, *, referenced: bool = False) -> tuple[
             UncalibratedWarning,
             stacklevel=2,
         )
+    if usable[0].source == NOMINAL:
+        pair = usable[0]
+        warnings.warn(
+            f"{recording.path.name}: {format_quantity(pair.frequency, 'Hz', 6)} with Q {pair.quality_factor:g} "
+            f"({', '.join(pair.keys)}) stands where the catalogue's values stand until a lever is measured, and nothing "
+            "says that it was. The drive lies within its width, so it was used; energies go as 1/Q. Give a probe file.",
+            UncalibratedWarning,
+            stacklevel=2,
+        )
     tests = sorted(
-        (_test(recording, resonance) for resonance in usable or recording.resonances),
+        (_test(recording, resonance) for resonance in usable),
         key=lambda test: (
             abs(test.phase_error) if test.phase_error is not None else 0.0,
             _ORDER.get(test.resonance.source, 2),
@@ -135,6 +149,35 @@ def rank_resonances(recording: Recording, *, referenced: bool = False) -> tuple[
             stacklevel=2,
         )
     return tuple(tests)
+
+
+def usable_resonances(recording: Recording) -> tuple[Resonance, ...]:
+    """Return the resonances of a file that may become its probe; empty where there is none.
+
+    Measured ones, if there are any. The resonance of a lever is 10 to 20 % off its catalogue's and Q by a factor, so a
+    nominal pair counts only where nothing was measured, its digits are no catalogue's, and the drive lies within its
+    width, which a catalogue's frequency hits by rare chance alone. Factory defaults of a tune or a thermal fit come
+    last.
+    """
+    others = tuple(r for r in recording.resonances if r.source != NOMINAL)
+    measured = tuple(r for r in others if not r.factory_default)
+    drive = recording.facts.get("drive_frequency")
+    driven = tuple(
+        r
+        for r in recording.resonances
+        if r.source == NOMINAL
+        and not r.factory_default
+        and drive is not None
+        and abs(drive.value - r.frequency) <= 0.5 * r.frequency / r.quality_factor
+    )
+    return measured or driven or others
+
+
+def _of_the_catalogue(pair: Resonance) -> str:
+    return (
+        f"{format_quantity(pair.frequency, 'Hz', 6)} with Q {pair.quality_factor:g}, {', '.join(pair.keys)}, is of the "
+        "catalogue"
+    )
 
 
 def free_phase_error(recording: Recording, probe: Probe) -> float | None:

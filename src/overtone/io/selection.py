@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from overtone.errors import ChannelError, ChannelWarning
-from overtone.io.recording import Channel, Recording
+from overtone.errors import ChannelError, ChannelWarning, UncalibratedWarning
+from overtone.io.recording import Channel, Fact, Recording
 from overtone.io.vendors import candidates, lift_channels, main_channels
 from overtone.probe import Probe
 from overtone.quantities import quantity
@@ -44,6 +44,8 @@ class Request:
     """Whether the Nap or Lift pass is wanted instead of the main one."""
     keep_offset: bool = False
     """Whether A0 is kept with whatever offset it has, because the same data give its zero."""
+    frame: int | None = None
+    """Which frame of a video, from 1."""
 
 
 def channel_names(recording: Recording) -> str:
@@ -77,6 +79,44 @@ def check_request(recording: Recording, request: Request) -> None:
         )
 
 
+def one_frame(recording: Recording, frame: int | None) -> Recording:
+    """Return one frame, counted from 1, of a recording that holds several; any other recording as it is.
+
+    Raises
+    ------
+    ChannelError
+        If there are several frames and none is named, or the frame does not exist.
+    """
+    if "frame" not in recording.dims:
+        if frame not in (None, 1):
+            raise ChannelError(
+                f"{recording.path.name} holds no frames",
+                got=f"frame {frame}",
+                hint="the file without --frame",
+            )
+        return recording
+    axis = recording.dims.index("frame")
+    count = recording.channels[0].values.shape[axis] if recording.channels else 0
+    if frame is None and count == 1:
+        frame = 1
+    if frame is None or not 1 <= frame <= count:
+        raise ChannelError(
+            f"{recording.path.name} is a video of {count} frames",
+            expected=f"the number of one, 1 to {count}",
+            got="none" if frame is None else str(frame),
+            hint="--frame 1",
+        )
+    return replace(
+        recording,
+        dims=tuple(dim for dim in recording.dims if dim != "frame"),
+        coords={dim: values for dim, values in recording.coords.items() if dim != "frame"},
+        channels=tuple(
+            replace(channel, values=np.take(channel.values, frame - 1, axis))
+            for channel in recording.channels
+        ),
+    )
+
+
 def choose(recording: Recording, request: Request) -> dict[str, Channel]:
     """Pick a channel for each observable, all of one pass and one line direction.
 
@@ -101,32 +141,26 @@ def choose(recording: Recording, request: Request) -> dict[str, Channel]:
         )
     chosen: dict[str, Channel] = {}
     for observable in OBSERVABLES:
-        names = (
-            (request.channels[observable],)
-            if observable in request.channels
-            else candidates(recording, observable, lift=request.lift)
-        )
-        for name in names:
-            found = [
-                c for c in pool if c.name == name and (direction is None or c.direction in (direction, None))
-            ]
-            if len(found) > 1:
-                raise ChannelError(
-                    f"{recording.path.name} holds {name} {len(found)} times",
-                    expected="one line direction",
-                    got=", ".join(str(c.direction) for c in found),
-                    hint=" or ".join(f"--direction {c.direction}" for c in found if c.direction),
-                )
-            if found:
-                chosen[observable] = found[0]
-                break
+        found = _found(recording, pool, request, observable, direction)
+        if len(found) > 1:
+            raise ChannelError(
+                f"{recording.path.name} holds {found[0].name} {len(found)} times",
+                expected="one line direction",
+                got=", ".join(str(c.direction) for c in found),
+                hint=" or ".join(f"--direction {c.direction}" for c in found if c.direction),
+            )
+        if found:
+            chosen[observable] = found[0]
     mixed = {c.direction for name, c in chosen.items() if name != "height" and c.direction}
     if len(mixed) > 1:
+        whole = [
+            way for way in mixed if all(_found(recording, pool, request, o, way) for o in ("A1", "phi1"))
+        ]
         raise ChannelError(
             "trace and retrace do not mix",
             expected="observables of one line direction",
             got=", ".join(f"{name}: {c.name} {c.direction}" for name, c in chosen.items()),
-            hint=" or ".join(f"--direction {direction}" for direction in sorted(mixed)),
+            hint=" or ".join(f"--direction {way}" for way in sorted(whole or mixed)),
         )
     flattened = [c.name for name, c in chosen.items() if name != "height" and c.flattened]
     if flattened:
@@ -146,6 +180,24 @@ def choose(recording: Recording, request: Request) -> dict[str, Channel]:
     return chosen
 
 
+def _found(
+    recording: Recording, pool: tuple[Channel, ...], request: Request, observable: str, direction: str | None
+) -> list[Channel]:
+    """Return the channels of the first name for an observable that the pass has in this direction."""
+    names = (
+        (request.channels[observable],)
+        if observable in request.channels
+        else candidates(recording, observable, lift=request.lift)
+    )
+    for name in names:
+        found = [
+            c for c in pool if c.name == name and (direction is None or c.direction in (direction, None))
+        ]
+        if found:
+            return found
+    return []
+
+
 def _pass(recording: Recording, *, lift: bool) -> tuple[Channel, ...]:
     if not lift:
         return main_channels(recording)
@@ -160,7 +212,9 @@ def _pass(recording: Recording, *, lift: bool) -> tuple[Channel, ...]:
     return pool
 
 
-def in_si(chosen: Mapping[str, Channel], request: Request) -> dict[str, Floats]:
+def in_si(
+    chosen: Mapping[str, Channel], request: Request, facts: Mapping[str, Fact] | None = None
+) -> dict[str, Floats]:
     """Return the channels in the SI units of their observables; name those that cannot be used.
 
     Parameters
@@ -168,41 +222,53 @@ def in_si(chosen: Mapping[str, Channel], request: Request) -> dict[str, Floats]:
     chosen : mapping of str to Channel
         Observable to channel, as `choose` found them.
     request : Request
-        Its ``scales`` give channels without unit one; ``keep_offset`` keeps A0 with an offset.
+        Its ``scales`` give channels without unit one, and lengths in volts their metres; ``keep_offset`` keeps A0
+        with an offset.
+    facts : mapping of str to Fact, optional
+        Of the recording: ``offset:<channel>``, in the unit of the channel, is added to it; ``scale:<channel>`` [m/V]
+        turns volts into the metres that the observable has, unless the request has a scale of its own.
 
     Raises
     ------
     ChannelError
-        If A1 or phi1 has no usable unit, or a scale is given for a channel that has one.
+        If A1 or phi1 has no usable unit, or a scale is given for a channel that needs none.
 
     Warns
     -----
     ChannelWarning
-        If a channel is left out for want of a unit or of values, A0 has an offset, or a channel is saturated.
+        If something was added to a channel or it was turned from volts into metres; if one is left out for want of a
+        unit or of values, A0 has an offset, or a channel is saturated.
+    UncalibratedWarning
+        If the sensitivity that turned volts into metres is a factory default.
     """
-    scales = request.scales
+    scales, facts = request.scales, facts or {}
     values: dict[str, Floats] = {}
     without: list[str] = []
     for name, channel in chosen.items():
         record = quantity(name)
         unit = record.unit if record else None
-        if channel.name in scales and channel.unit is not None:
+        in_volts = channel.unit == "V" and unit == "m"
+        if channel.name in scales and channel.unit is not None and not in_volts:
             raise ChannelError(
                 f"{channel.name} has the unit {channel.unit} in the file",
                 got=f"a scale of {scales[channel.name]:g} for it",
-                hint="scales are for channels without a unit",
+                hint="scales are for channels without a unit, and for lengths in volts",
             )
         if channel.name in scales:
-            values[name] = channel.values * scales[channel.name]
+            values[name] = _whole(channel, facts) * scales[channel.name]
         elif channel.unit == unit:
-            values[name] = channel.values
+            values[name] = _whole(channel, facts)
+        elif in_volts and f"scale:{channel.name}" in facts:
+            values[name] = _whole(channel, facts) * _sensitivity(channel, facts)
         else:
             stated = "no unit" if channel.unit is None else f"the unit {channel.unit} instead of {unit}"
             if name in ("A1", "phi1"):
                 raise ChannelError(
                     f"{name} ({channel.name}) has {stated}",
                     expected=f"a channel in {unit}",
-                    hint=f'a unit in the file, or --scale {channel.name}="1 {"nm" if unit == "m" else "deg"}" '
+                    hint=f'the metres of one volt, --scale {channel.name}="60 nm/V"'
+                    if in_volts
+                    else f'a unit in the file, or --scale {channel.name}="1 {"nm" if unit == "m" else "deg"}" '
                     "where it has none",
                 )
             zero = ", and a zero that is not known" if name == "A0" else ""
@@ -234,6 +300,35 @@ def in_si(chosen: Mapping[str, Channel], request: Request) -> dict[str, Floats]:
         )
         del values["A0"]
     return values
+
+
+def _whole(channel: Channel, facts: Mapping[str, Fact]) -> Floats:
+    """Return the values of a channel with what the file keeps apart from them added."""
+    offset = facts.get(f"offset:{channel.name}")
+    if offset is None or offset.unit != channel.unit:
+        return channel.values
+    warnings.warn(
+        f"{channel.name} stores only A - set-point; the set-point, {format_quantity(offset.value, offset.unit, 4)} "
+        f"({offset.key}), was added",
+        ChannelWarning,
+        stacklevel=3,
+    )
+    return channel.values + offset.value
+
+
+def _sensitivity(channel: Channel, facts: Mapping[str, Fact]) -> float:
+    """Return the metres of one volt of a channel, as the file states them [m/V]."""
+    scale = facts[f"scale:{channel.name}"]
+    text = f"{channel.name} is in volts in the file; {scale.key}, {scale.value * 1e9:.4g} nm/V, turned it into metres"
+    warnings.warn(text, ChannelWarning, stacklevel=3)
+    if scale.factory_default:
+        warnings.warn(
+            f"{scale.key} is a factory default: {channel.name} was not calibrated, lengths, forces and energies have "
+            f'no absolute scale. Where you know it, say so: --scale {channel.name}="60 nm/V"',
+            UncalibratedWarning,
+            stacklevel=3,
+        )
+    return scale.value
 
 
 def drop_unpaired(arrays: dict[str, xr.DataArray]) -> None:

@@ -6,7 +6,7 @@ from overtone.errors import UnitError
 from overtone.units import conversion_factor
 
 # What a value may become, in the order of preference where two share a dimension.
-_SI_UNITS = ("m", "rad", "V", "Hz", "N", "N/m", "m/V", "Pa", "J", "W", "s", "K", "1")
+_SI_UNITS = ("m", "rad", "V", "A", "Hz", "N", "N/m", "m/V", "Pa", "J", "W", "s", "K", "1")
 _LONGEST_UNIT = 40
 _SPELLED_OUT = {
     "degree": "deg",
@@ -19,6 +19,8 @@ _SPELLED_OUT = {
     "metres": "m",
     "volt": "V",
     "volts": "V",
+    "ampere": "A",
+    "amperes": "A",
     "hertz": "Hz",
 }
 

@@ -18,7 +18,7 @@ import numpy.typing as npt
 import xarray as xr
 
 from overtone.errors import ChannelError, ChannelWarning, FileFormatError, UnitError
-from overtone.io import igor, netcdf, registry, table
+from overtone.io import asylum, igor, netcdf, registry, table
 from overtone.io.si import to_si
 from overtone.units import parse_unit
 
@@ -240,7 +240,7 @@ def _stated_units(path: Path, names: Sequence[str]) -> dict[str, str]:
 
 
 def _from_igor(path: Path, unit: str | None) -> _Parts:
-    wave = igor._load(path)
+    wave = igor.wave_of(path, path.read_bytes())
     if wave.values.ndim != 1:
         raise FileFormatError(
             f"{path.name} holds no spectrum",
@@ -260,8 +260,7 @@ def _from_igor(path: Path, unit: str | None) -> _Parts:
         (wave.starts[0] + wave.steps[0] * np.arange(wave.values.size)) * axis[0], dtype=float
     )
     stated, attributes = wave.unit, {}
-    keys = {key.lower() for key in igor._note(wave.note)}
-    if keys & set(igor._ASYLUM_KEYS):
+    if asylum.is_asylum(asylum.Settings(asylum.entries_of(wave.note))):
         attributes["vendor"] = "asylum"
         if unit is None and density_factor(stated) is None and stated in _ASYLUM_AMPLITUDE:
             warnings.warn(

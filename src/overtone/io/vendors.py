@@ -72,6 +72,82 @@ _VENDORS = (
         optical_lever=True,
     ),
     Vendor(
+        "nanosurf",
+        "Nanosurf",
+        {
+            "height": ("Z-Axis Sensor", "Z-Axis", "Topography"),
+            "A0": ("Deflection",),
+            "A1": ("Amplitude",),
+            "phi1": ("Phase",),
+        },
+        phase_known=False,
+        phase_note="Nanosurf counts phases from a reference phase that the tuning or the operator sets",
+        optical_lever=True,
+    ),
+    Vendor(
+        "bruker",
+        "Bruker NanoScope",
+        {
+            "height": ("ZSensor", "Height"),
+            "A0": ("TMDeflection", "Deflection"),
+            "A1": ("AmplitudeActual", "Amplitude", "Amplitude1", "AmplitudeError"),
+            "phi1": ("Phase",),
+        },
+        phase_known=False,
+        phase_note="Bruker's phase counts from a zero (CantPhase) that the operator or a tune sets, near 0 deg for a "
+        "free lever at resonance; the file does not say whether it still holds, nor whether the phase is a lag",
+        optical_lever=True,
+    ),
+    Vendor(
+        "jpk",
+        "JPK (Bruker NanoWizard)",
+        {
+            "height": ("Height (measured)", "Height"),
+            "A0": ("Vertical Deflection",),
+            "A1": ("Lock-In Amplitude",),
+            "phi1": ("Lock-In Phase",),
+        },
+        phase_known=False,
+        phase_note="JPK's phase counts from a shift of the lock-in that the operator or a tune sets",
+        optical_lever=True,
+    ),
+    Vendor(
+        "park",
+        "Park Systems",
+        {
+            # Lock-In2, Lock-In3 and so on are left out: no file says what they listen to.
+            "height": ("Z Detector", "Z Height", "Topography"),
+            "A1": ("NCM Amplitude",),
+            "phi1": ("NCM Phase",),
+        },
+        phase_known=False,
+        phase_note="the zero and the sign of Park's phases are not in the file",
+        optical_lever=True,
+    ),
+    Vendor(
+        "agilent",
+        "Agilent or Keysight",
+        {"height": ("Topography",), "A0": ("Deflection",), "A1": ("Amplitude",), "phi1": ("Phase",)},
+        phase_known=False,
+        phase_note="the zero of PicoView's phases is set by hand",
+        optical_lever=True,
+    ),
+    Vendor(
+        "nanonis",
+        "SPECS Nanonis",
+        {"height": ("Z",), "A1": ("Amplitude",), "phi1": ("Phase",)},
+        phase_known=False,
+        phase_note="Nanonis counts phases from the reference phase of its PLL or lock-in, set by hand",
+    ),
+    Vendor(
+        "wsxm",
+        "Nanotec WSxM",
+        {"height": ("Topography",), "A0": ("Normal force",), "A1": ("Amplitude",), "phi1": ("Phase",)},
+        phase_known=False,
+        phase_note="the zero of Nanotec's phases is set by hand",
+        optical_lever=True,
+    ),
+    Vendor(
         "neasnom",
         "neaspec neaSNOM",
         _NEASNOM,
@@ -107,7 +183,8 @@ def candidates(recording: Recording, observable: str, *, lift: bool = False) -> 
 
     Every vendor's file may also name a channel by the observable itself. Lock-ins beyond the first count as
     higher harmonics only where the second one listens at exactly twice the drive: in dual-tone modes it does not.
-    With ``lift`` they are the names that the same channels have in a Nap or Lift pass.
+    With ``lift`` they are the names that the same channels have in a Nap or Lift pass: some vendors prefix them, some do
+    not.
     """
     names = vendor_of(recording).aliases.get(observable, ())
     if recording.vendor == "asylum" and observable not in _FIRST_LOCK_IN:
@@ -115,7 +192,7 @@ def candidates(recording: Recording, observable: str, *, lift: bool = False) -> 
         if drive is None or second is None or abs(second.value / drive.value - 2.0) > _SAME_FREQUENCY:
             names = ()
     if lift:
-        return (LIFT + observable, *(f"{_NAP}{name}" for name in names))
+        return (LIFT + observable, *(f"{_NAP}{name}" for name in names), *names)
     return (observable, *names) if _HARMONIC.fullmatch(observable) else names
 
 

@@ -1,0 +1,1 @@
+"""Maps of many files, and of one file that is larger than memory."""
