@@ -13,6 +13,7 @@ from overtone.demo import virtual_scan
 from overtone.instrument.calibration import load_calibration
 from overtone.inversion.properties import MISSING_DATA, NOT_DETERMINED
 from overtone.io.netcdf import load, save
+from overtone.provenance import add_finding
 from overtone.report.results import alone
 
 PROBE = """
@@ -219,17 +220,49 @@ def test_wrong_input_gets_a_clear_error_and_leaves_no_output(
     assert {path.name for path in work.iterdir()} == before
 
 
+PARTS = ("Channels", "Instrument", "Missing", "Ask for, or do next time", "What it can give")
+
+
 @pytest.mark.parametrize(
-    "name", ["AR_20211011", "tono_whiskers", "AutexysEFM_0000", "DTMicroscope_scan_0001_DART"]
+    "name",
+    [
+        "ibw/AR_20211011.ibw",
+        "ibw/tono_whiskers.ibw",
+        "ibw/AutexysEFM_0000.ibw",
+        "ibw/DTMicroscope_scan_0001_DART.ibw",
+        "nanosurf/NSFopen_circles_holes.nid",
+        "bruker/hystorian_test_nanonis.000",
+        "jpk/AFMReader_sample_0.h5-jpk",
+        "neasnom/SnO2_NW4_hyp",
+    ],
 )
-def test_inspect_real_files(name: str, afm_data: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run("inspect", afm_data / "ibw" / f"{name}.ibw") == 0
+def test_inspect_prints_plain_text_of_eighty_columns(
+    name: str, afm_data: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    assert run("inspect", afm_data / name) == 0
+    lines = capsys.readouterr().out.splitlines()
+    printed = "\n".join(lines)
+    places = [
+        next(k for k, line in enumerate(lines) if line == part or line.startswith(f"{part} ("))
+        for part in PARTS
+    ]
+    assert places == sorted(places)
+    # the probe file is there to be copied, so its lines are not broken
+    comments = [line for line in lines if line.startswith("    ") and "  # " in line]
+    assert all(len(line) <= 80 for line in lines if line not in comments)
+    assert all(line == line.rstrip() for line in lines)
+    assert all(character.isprintable() or character == "\n" for character in printed)
+    assert "Warning" not in printed
+    questions = [line for line in lines[places[-1] :] if line.startswith(" - ")]
+    assert [question.split()[1] for question in questions[:3]] == ["energy", "regime", "modulus,"]
+
+
+def test_inspect_says_the_same_thing_once(afm_data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("inspect", afm_data / "ibw" / "DTMicroscope_scan_0001_DART.ibw") == 0
     printed = flat(capsys.readouterr().out)
-    assert "Asylum" in printed
-    assert "Channels" in printed
-    if name == "tono_whiskers":
-        assert "factory default" in printed
-        assert "UncalibratedWarning" in printed
+    assert "first harmonic: no. The file says PFM Mode (ImagingMode); it takes tapping mode." in printed
+    assert "modulus, contrast / relative / absolute: no. For the same reason." in printed
 
 
 @pytest.mark.parametrize(
@@ -279,12 +312,52 @@ def test_noise_is_told_from_trace_and_retrace(tmp_path: Path, capsys: pytest.Cap
     assert "from trace and retrace" not in flat(capsys.readouterr().out)
 
 
-def test_inspect_says_what_to_ask_for(afm_data: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run("inspect", afm_data / "neasnom" / "SnO2_NW4_hyp") == 0
+def test_inspect_asks_until_nothing_is_missing(
+    afm_data: Path, probe_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = afm_data / "neasnom" / "SnO2_NW4_hyp"
+    assert run("inspect", folder) == 0
     printed = flat(capsys.readouterr().out)
-    assert "cannot be mapped as it is" in printed
+    assert "energy dissipated and force of the first harmonic: yes, with k, f0 and Q" in printed
+    assert "--probe probe.toml 2. What did M1P read far from the surface" in printed
+    assert '--far-phase "? deg"' in printed
+    assert 'frequency = "237.595092 kHz" # Tip Frequency [Hz]' in printed
+    assert run("inspect", folder, "--probe", probe_file, "--far-phase", "90 deg", "--radius", "10 nm") == 0
+    printed = flat(capsys.readouterr().out)
+    assert "first harmonic: yes. Everything it takes is there." in printed
+    assert "--far-phase" not in printed
+    assert "probe.toml, to complete" not in printed
+    assert "tip radius" not in printed
+    assert run("inspect", folder, "--far-phase", "? deg") == 1
+    assert "--far-phase is not a number with a unit" in flat(capsys.readouterr().err)
     assert run("inspect", afm_data / "none.ibw") == 1
     assert "there is no file" in flat(capsys.readouterr().err)
+
+
+def test_inspect_a_result(scan_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "maps.nc"
+    assert run("map", scan_file, "-o", out, "--poisson-ratio", "0.35", "--method", "exact") == 0
+    capsys.readouterr()
+    assert run("inspect", out) == 0
+    printed = flat(capsys.readouterr().out)
+    assert "a result of overtone (map_properties): 12 x 10 pixels" in printed
+    assert "method exact" in printed
+    assert "regime (attractive or repulsive): yes. Of the pixels: repulsive 100 %." in printed
+    assert "modulus, relative / absolute: yes, with a correction that is right." in printed
+    assert "modulus" in printed.split("Noticed")[0]
+    assert run("inspect", scan_file) == 0
+    assert "modulus, absolute: yes, with Poisson's ratio of the sample" in flat(capsys.readouterr().out)
+
+
+def test_inspect_obeys_no_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Names out of a file are text: neither markup nor what a terminal obeys."""
+    path = tmp_path / "maps.nc"
+    maps = xr.Dataset({"modulus": (("y", "x"), np.full((2, 3), 1e9), {"units": "Pa"})})
+    save(add_finding(maps, "[red]x[/] and \x1b[31m."), path)
+    assert run("inspect", path) == 0
+    printed = capsys.readouterr().out
+    assert "[red]x" in printed
+    assert "\x1b" not in printed
 
 
 def test_models_are_listed(capsys: pytest.CaptureFixture[str]) -> None:

@@ -58,6 +58,7 @@ if TYPE_CHECKING:
     from overtone.io.curves import open_curve as open_curve
     from overtone.io.export import load as load
     from overtone.io.export import save as save
+    from overtone.io.inspection import inspect_scan as inspect_scan
     from overtone.io.ladder import open_ladder as open_ladder
     from overtone.io.observables import open_scan as open_scan
     from overtone.io.quadratures import from_quadratures as from_quadratures
@@ -96,6 +97,7 @@ _HOME = {
     "from_quadratures": "io.quadratures",
     "gates": "instrument.gates",
     "hold_amplitude": "dynamics.hold",
+    "inspect_scan": "io.inspection",
     "lever_near_surface": "instrument.surface",
     "load": "io.export",
     "load_calibration": "instrument.calibration",

@@ -30,6 +30,7 @@ _BASE: dict[str, tuple[float, _Dimension]] = {
     "J": (1.0, (2, 1, -2, 0, 0, 0)),
     "W": (1.0, (2, 1, -3, 0, 0, 0)),
     "eV": (1.602176634e-19, (2, 1, -2, 0, 0, 0)),
+    "A": (1.0, (2, 1, -3, -1, 0, 0)),  # a watt per volt
 }
 _PLAIN: dict[str, tuple[float, _Dimension]] = {
     "1": (1.0, (0, 0, 0, 0, 0, 0)),
@@ -54,7 +55,7 @@ _PREFIX = {
     "T": 1e12,
 }
 _DISPLAY_PREFIX = {-15: "f", -12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G", 12: "T"}
-_PREFIXED_SI = ("m", "N", "Pa", "J", "Hz", "V", "s")
+_PREFIXED_SI = ("m", "N", "Pa", "J", "Hz", "V", "A", "s")
 _QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*")
 _SYMBOL = re.compile(r"([A-Za-zµμÅ°%]+|1)(?:\^?(-?\d+))?")
 _PER_ROOT_HERTZ = re.compile(r"\s*/\s*(?:rt|sqrt|√)\s*(?:Hz|\(\s*Hz\s*\))\s*$")

@@ -105,7 +105,7 @@ def test_what_is_done_is_kept_and_what_has_changed_is_made_again(
     for damaged in (content[:3000] + b"x" * 9 + content[3009:], content[:-1], content[:5000], b""):
         (results / "scan_002.nc").write_bytes(damaged)
         assert run(poisson_ratio=0.3, radius=10e-9) == {"scan_002": "the result was damaged"}
-    asked = dict.fromkeys(every, "asked to be made again")
+    asked = dict.fromkeys(every, "asked for again")
     assert run(redo=True, poisson_ratio=0.3, radius=10e-9) == asked
     monkeypatch.setattr("overtone.batch.record.__version__", "99.0")
     assert {why.split(",")[1] for why in run(poisson_ratio=0.3, radius=10e-9).values()} == {" is 99.0"}

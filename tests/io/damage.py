@@ -9,7 +9,6 @@ in time, in bounded memory, and without running anything that the file holds.
 
 from __future__ import annotations
 
-import builtins
 import contextlib
 import hashlib
 import importlib
@@ -56,7 +55,12 @@ _EXTREMES = (
     b"\0\0\1\0",
 )
 _NUMBER = re.compile(rb"\d+")
-_HEADER = 8192
+_TEXT = re.compile(rb"[ -~\r\n\t]{16,}")
+_HEADER, _AROUND = 8192, 24
+
+
+WHOLE = "whole"
+"""The kind that is no damage: the file itself, which opens as before after all that was read before it."""
 
 
 class Mutant(NamedTuple):
@@ -67,7 +71,7 @@ class Mutant(NamedTuple):
     file: str
     """The file of a folder that is damaged, empty where the source is a file."""
     kind: str
-    """cut, flip, rename or empty."""
+    """cut, flip, rename, empty or whole."""
     number: int
     of: int
     """How many there are of this kind."""
@@ -93,12 +97,14 @@ class Outcome:
 def mutants(root: Path, source: str, *, cuts: int, flips: int, renames: int) -> list[Mutant]:
     """Return the mutants of a source; of a folder so many of each of its files."""
     place = root / source.partition("::")[0]
-    files = sorted(file.name for file in place.iterdir()) if place.is_dir() else [""]
+    files = [""]
+    if place.is_dir():
+        files = sorted(file.relative_to(place).as_posix() for file in place.rglob("*") if file.is_file())
     found = []
     for file in files:
         kinds = {"empty": 1, "cut": cuts, "flip": flips, "rename": 0 if file else renames}
         found += [Mutant(source, file, kind, n, of) for kind, of in kinds.items() for n in range(of)]
-    return found
+    return [*found, Mutant(source, "", WHOLE, 0, 1)]
 
 
 def damaged(content: bytes, mutant: Mutant) -> bytes:
@@ -107,19 +113,19 @@ def damaged(content: bytes, mutant: Mutant) -> bytes:
     if mutant.kind == "empty":
         return b""
     if mutant.kind == "cut":
-        # Half of them in the header, where cuts are of all kinds, half evenly over the file.
-        at = np.unique(
-            np.concatenate(
-                [
-                    np.geomspace(1, min(header_size(content), size - 1), mutant.of // 2).astype(int),
-                    np.linspace(0, size - 1, mutant.of - mutant.of // 2 + 1).astype(int)[1:],
-                ]
-            )
-        )
-        return content[: at[mutant.number % at.size]]
+        return content[: _lengths(size, header_size(content), mutant.of)[mutant.number]]
     if mutant.kind == "flip":
         return _flipped(content, mutant)
     return content
+
+
+def _lengths(size: int, header: int, number: int) -> list[int]:
+    """Return lengths to cut a file to: half in the header, where cuts are of all kinds, half evenly over the file."""
+    dense = np.geomspace(1, min(header, size - 1), number // 2).astype(int).tolist()
+    even = np.linspace(size - 1, 0, number + 1).astype(int).tolist()
+    every = np.linspace(0, size - 1, 9 * number).astype(int).tolist()
+    found = list(dict.fromkeys([*dense, *even[::2], *even, *every]))[:number]
+    return sorted(found + [size // 2] * (number - len(found)))
 
 
 def _flipped(content: bytes, mutant: Mutant) -> bytes:
@@ -127,13 +133,18 @@ def _flipped(content: bytes, mutant: Mutant) -> bytes:
     size = len(content)
     changed = bytearray(content)
     header = min(header_size(content), size)
+    # Keys and units lie in many places; what stands beside them are the numbers that they name.
+    texts = [match.span() for match in _TEXT.finditer(content)] or [(0, header)]
     way = mutant.number % 8
 
     def somewhere() -> int:
-        # Three of five in the header, one in the end, where notes and tables lie, one anywhere.
+        # Two of five in the header, one beside a text, one in the end, where notes and tables lie, one anywhere.
         where = random.integers(5)
-        if where < 3:
+        if where < 2:
             return int(random.integers(header))
+        if where == 2:
+            start, stop = texts[random.integers(len(texts))]
+            return int(np.clip(random.integers(start - _AROUND, stop + _AROUND), 0, size - 1))
         if where == 3:
             return int(random.integers(max(0, size - _HEADER), size))
         return int(random.integers(size))
@@ -145,8 +156,9 @@ def _flipped(content: bytes, mutant: Mutant) -> bytes:
     elif way == 2:
         for _ in range(4):
             changed[somewhere()] = random.integers(256)
-    elif way == 3:  # another number of another length in the text of the header
-        found = [m.span() for m in _NUMBER.finditer(content, 0, header)] or [(0, 1)]
+    elif way == 3:  # another number, perhaps of another length, in a text
+        start, stop = texts[random.integers(len(texts))]
+        found = [match.span() for match in _NUMBER.finditer(content, start, stop)] or [(start, start + 1)]
         start, stop = found[random.integers(len(found))]
         new = (b"0", b"-1", b"1", b"99999999999", b"1e308", b"nan", b"7")[random.integers(7)]
         changed[start:stop] = new if random.integers(2) else new[: stop - start].ljust(stop - start)
@@ -199,7 +211,6 @@ class _Guard:
         sys.addaudithook(self._hook)
         for module, name in ((pickle, "load"), (pickle, "loads"), (pickle, "Unpickler"), (os, "system")):
             setattr(module, name, self._refusing(f"{module.__name__}.{name}", getattr(module, name)))
-        builtins.eval = self._refusing("eval", builtins.eval)
 
     def _refusing(self, name: str, original: Callable[..., Any]) -> Callable[..., Any]:
         def stand_in(*arguments: Any, **named: Any) -> Any:
@@ -217,7 +228,7 @@ class _Guard:
         if not self.active:
             return
         if event == "exec":
-            # Modules are run from their files; a text that is run has no file.
+            # Modules are run from their files; a text that is run, by eval too, has no file.
             name = str(getattr(arguments[0], "co_filename", ""))
             if not name.startswith("<frozen") and not Path(name).is_file():
                 self._refuse(f"exec of {name}")
@@ -351,7 +362,7 @@ class _Worker:
                 verdict, why = "opened", ""
             except OvertoneError as error:
                 verdict, why = "refused", str(error)
-            except BaseException as error:  # noqa: BLE001  # that there is none is what is tested
+            except BaseException as error:  # that there is none is what is tested
                 verdict, why = "bad", f"{type(error).__name__}: {str(error)[:200]}"
             finally:
                 self.guard.active = False
@@ -377,12 +388,18 @@ class _Worker:
             verdict, why, *_ = self.read(f"{place}{mark}{wave}", 1 << 30)
             self.whole[mutant.source] = why if verdict == "opened" else verdict
         original = place / mutant.file if mutant.file else place
+        if mutant.kind == WHOLE:
+            verdict, why, seconds, memory = self.read(f"{place}{mark}{wave}", 1 << 20)
+            as_before = (why if verdict == "opened" else verdict) == self.whole[mutant.source]
+            verdict = "bad" if not as_before else "same" if verdict == "opened" else verdict
+            return Outcome(mutant, verdict, f"the whole file: {why}", seconds, memory)
         content = damaged(original.read_bytes(), mutant)
         if mutant.file:
             folder = self.folder / place.name
             if not folder.is_dir():
                 shutil.copytree(place, folder, copy_function=shutil.copyfile)
-                folder.chmod(0o755)
+                for inner in (folder, *folder.rglob("*")):
+                    inner.chmod(0o755)
             target, written = folder, folder / mutant.file
         else:
             target = written = self.folder / f"scan{self._suffix(place, mutant)}"
@@ -468,7 +485,8 @@ class _Process:
         assert self.process.stdout is not None
         with contextlib.suppress(ProcessLookupError):
             os.killpg(self.process.pid, signal.SIGKILL)
-        self.process.stdin.close()
+        with contextlib.suppress(BrokenPipeError):
+            self.process.stdin.close()
         self.process.stdout.close()
         self.process.wait()
 

@@ -7,7 +7,7 @@ import pytest
 from overtone.errors import ProbeError, ResonanceWarning, UncalibratedWarning
 from overtone.io.recording import Fact, Recording, Resonance
 from overtone.io.registry import read_channels
-from overtone.io.resonance import rank_resonances
+from overtone.io.resonance import rank_resonances, usable_resonances
 
 
 def recording(free_phase: float | None, *resonances: Resonance, **facts: float) -> Recording:
@@ -69,3 +69,43 @@ def test_what_a_probe_lacks_is_named(name: str) -> None:
         rank_resonances(recording(70.0, TUNE, **{name: np.nan}))
     with pytest.raises(ProbeError, match="no resonance"):
         rank_resonances(recording(70.0))
+
+
+NOMINAL = Resonance("nominal", 256.9e3, 412.0, ("Prop1", "Prop4"))
+CATALOGUE = Resonance("nominal", 257.0e3, 400.0, ("Prop1", "Prop4"), factory_default=True)
+
+
+def test_a_nominal_resonance_gives_way_to_a_measured_one() -> None:
+    (only,) = rank_resonances(recording(69.4, NOMINAL, TUNE))
+    assert only.resonance.source == "tune"
+
+
+def test_a_nominal_resonance_within_whose_width_the_drive_lies_is_used_with_a_warning() -> None:
+    with pytest.warns(UncalibratedWarning, match=r"256.9 kHz with Q 412 \(Prop1, Prop4\).*nothing says"):
+        (only,) = rank_resonances(recording(None, NOMINAL))
+    assert only.resonance is NOMINAL
+
+
+@pytest.mark.parametrize(
+    "nominal",
+    [
+        CATALOGUE,  # round digits: however near, its Q is of no lever
+        Resonance("nominal", 190.0e3, 500.0, ("Prop1", "Prop4"), factory_default=True),
+        # beyond half a width: 256.9768 - 256.6 kHz over 256.6 kHz / 412
+        Resonance("nominal", 256.6e3, 412.0, ("Prop1", "Prop4")),
+    ],
+)
+def test_a_catalogue_never_becomes_the_probe(nominal: Resonance) -> None:
+    with pytest.raises(
+        ProbeError, match=r"no resonance frequency and quality factor \(\S+ kHz with Q .* is "
+    ):
+        rank_resonances(recording(70.0, nominal))
+    assert usable_resonances(recording(70.0, nominal)) == ()
+
+
+def test_the_catalogue_of_a_real_file_is_not_its_lever(afm_data: Path) -> None:
+    """It was driven 9 % off the catalogue's resonance."""
+    assert usable_resonances(read_channels(afm_data / "nanosurf" / "NSFopen_MoS2.nid")) == ()
+    with pytest.warns(UncalibratedWarning, match="stands where the catalogue's values stand"):
+        (only,) = rank_resonances(read_channels(afm_data / "nanosurf" / "NSFopen_grid1.nid"))
+    assert only.resonance.frequency == pytest.approx(170.037e3, rel=1e-5)

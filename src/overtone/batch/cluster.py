@@ -141,7 +141,6 @@ def _said(error: BaseException) -> str:
 @contextmanager
 def _client(cluster: Any, jobs: int) -> Iterator[Any]:
     """Give a client of the cluster; what was started for it ends with it."""
-    dask: Any = import_module("dask")
     distributed: Any = import_module("distributed")
     if not isinstance(cluster, str):
         yield cluster
@@ -156,24 +155,39 @@ def _client(cluster: Any, jobs: int) -> Iterator[Any]:
         with client:
             yield client
         return
+    with _local(jobs) as started, distributed.Client(started, set_as_default=False) as client:
+        yield client
+
+
+@contextmanager
+def _local(jobs: int) -> Iterator[Any]:
+    """Give a cluster of processes of this computer, one thread each."""
+    dask: Any = import_module("dask")
+    distributed: Any = import_module("distributed")
     # a worker gets its next file when it is free: one that dies takes no file with it that it had not begun
     settings = {
         "distributed.scheduler.worker-saturation": 1.0,
         "distributed.scheduler.allowed-failures": _FAILURES,
     }
-    with (
-        dask.config.set(settings),
-        distributed.LocalCluster(
-            n_workers=min(os.cpu_count() or 1, jobs),
-            threads_per_worker=1,
-            processes=True,
-            dashboard_address=None,
-            preload=["overtone.batch.worker"],
-            silence_logs=logging.CRITICAL,
-        ) as started,
-        distributed.Client(started, set_as_default=False) as client,
-    ):
-        yield client
+    with dask.config.set(settings):
+        try:
+            started = distributed.LocalCluster(
+                n_workers=min(os.cpu_count() or 1, jobs),
+                threads_per_worker=1,
+                processes=True,
+                dashboard_address="127.0.0.1:0",
+                scheduler_kwargs={"dashboard": False},
+                preload=["overtone.batch.worker"],
+                silence_logs=logging.CRITICAL,
+            )
+        except RuntimeError as error:
+            raise OvertoneError(
+                "the processes of a local cluster do not start",
+                got=str(error),
+                hint='in a script, the call from below if __name__ == "__main__":',
+            ) from error
+        with started:
+            yield started
 
 
 def _check_workers(client: Any, work: Path) -> None:

@@ -210,7 +210,7 @@ def _job(
     if not output.exists():
         why = "new"
     elif redo:
-        why = "asked to be made again"
+        why = "asked for again"
     else:
         try:
             why = why_again(output, file, texts, report)

@@ -37,12 +37,21 @@ class Mode:
     tapping : bool
         Whether the tip taps, at a drive of one frequency and one size.
     key : str
-        Where the file says so.
+        Where the file says so, or the channels that show it.
+    stated : bool
+        Whether the file states it in words.
     """
 
     title: str
     tapping: bool
     key: str
+    stated: bool = True
+
+    def sentence(self) -> str:
+        """Return where the mode is known from, as a clause."""
+        if self.stated:
+            return f"the file says {self.title} ({self.key})"
+        return f"it has the channels of {self.title} ({self.key})"
 
 
 def imaging_mode(recording: Recording) -> Mode | None:
@@ -91,12 +100,13 @@ def _shown(recording: Recording, stated: Mode | None) -> Mode | None:
     """Return what channels give away that the tapping mode does not have."""
     names = {channel.name for channel in recording.channels}
     if "PeakForceError" in names:
-        return Mode("PeakForce", False, "channel PeakForceError")
+        return Mode("PeakForce tapping", False, "PeakForceError", stated=False)
     if {"Frequency_Shift", "Excitation"} <= names:
         return Mode(
-            "frequency modulation: the frequency follows and the amplitude is held",
+            "frequency modulation, which holds the amplitude",
             False,
-            "channels Frequency_Shift and Excitation",
+            "Frequency_Shift and Excitation",
+            stated=False,
         )
     if stated is not None and not stated.tapping:
         return None
@@ -104,5 +114,5 @@ def _shown(recording: Recording, stated: Mode | None) -> Mode | None:
         if channel.name == "Frequency" and channel.unit == "Hz":
             values = channel.values[np.isfinite(channel.values)]
             if values.size and float(np.ptp(values)) > _STEADY * abs(float(values.mean())):
-                return Mode("a drive whose frequency was changed", False, "channel Frequency")
+                return Mode("a drive whose frequency was changed", False, "Frequency", stated=False)
     return None

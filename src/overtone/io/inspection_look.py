@@ -1,7 +1,7 @@
 """A file as it would be opened, whatever has to be chosen chosen, so that everything else about it can be said.
 
-`overtone.open_scan` stops at the first thing it must not decide for somebody. Here the decision is taken for the moment,
-kept as a question, and the look goes on.
+`overtone.open_scan` stops at the first thing it must not decide for somebody. Here the decision is taken for the
+moment, kept as a question, and the look goes on.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from overtone.io.curves import open_curve
 from overtone.io.imaging_mode import Mode, imaging_mode
 from overtone.io.observables import observables_of
 from overtone.io.recording import Channel, Recording
-from overtone.io.selection import OBSERVABLES, Request, check_request, one_frame
+from overtone.io.selection import OBSERVABLES, Request, check_request, choose, one_frame
 from overtone.io.vendors import candidates, lift_channels, main_channels
 from overtone.readings import Reading, parse_reading, reading_of
 
@@ -94,7 +94,10 @@ def look_at(recording: Recording, request: Request) -> Look:
     check_request(recording, request)
     curve = _is_curve(recording)
     pool = lift_channels(recording) if request.lift else main_channels(recording)
-    if curve and request.direction is None and any(c.direction == "approach" for c in pool):
+    ways = {channel.direction for channel in pool if channel.direction}
+    if (request.lift and not pool) or (request.direction not in (None, *ways) and not curve):
+        choose(recording, request)  # which says what is wrong with that
+    if curve and request.direction is None and "approach" in ways:
         request = replace(request, direction="approach")
     chosen, directions, opposed = _assigned(recording, pool, request)
     look = Look(recording, request, chosen, directions, opposed, frames, curve, imaging_mode(recording))

@@ -10,19 +10,20 @@ import numpy as np
 
 from overtone.errors import PhaseReferenceWarning
 from overtone.harmonics import far_phase
+from overtone.io.inspection_channels import mean_deflection, nameable_channels, spare_channels, unused
 from overtone.io.inspection_look import Look
 from overtone.io.inspection_tables import quantity_text
-from overtone.io.recording import Channel
-from overtone.io.resonance import NOMINAL, PLAUSIBLE_PHASE, free_phase_error, usable_resonances
+from overtone.io.resonance import NOMINAL, PLAUSIBLE_PHASE, free_phase_error, usable_resonances, why_not
 from overtone.io.vendors import vendor_of
 from overtone.probe import SLOPE, Probe
-from overtone.quantities import quantity
 from overtone.units import format_quantity
 
 THERE, DOUBTFUL, MISSING, LOST = "there", "doubtful", "missing", "lost"
 """In the file or given; there, but not to be believed; can be given; can never be given for this file."""
-_TAPPING_MEAN = 5e-9  # mean deflection above which an offset or a set-point is in A0 [m]
-_SPARE = "user"  # how inputs of the user's own begin, which may hold another lock-in
+TOO_LARGE = "A1 averages"
+"""How the warning of an amplitude larger than the free one begins."""
+TAPPING, ABSENT = "tapping (AC) mode", "not recorded"
+_REFERENCE = "[reference"  # in the text of a calibration that has one
 
 
 @dataclass(frozen=True)
@@ -76,48 +77,24 @@ def needs_of(look: Look) -> dict[str, Need]:
         needs[name] = _harmonic(look, name)
     needs["modes"] = _modes(look)
     needs["calibration"] = _calibration(look)
+    anchored = _REFERENCE in look.recording.metadata.get("calibration", "")
+    what = "reference material of known modulus in the scan"
+    needs["reference"] = Need(what, THERE if anchored else MISSING, "", f"a {what}")
     radius = None if look.reading is None else look.reading.probe.tip.radius
     radius = look.request.probe.tip.radius if look.request.probe is not None else radius
-    needs["radius"] = Need("tip radius", MISSING if radius is None else THERE)
+    needs["radius"] = Need("tip radius", MISSING if radius is None else THERE, "", "the tip radius")
     needs["poisson"] = Need("Poisson's ratio of the sample", MISSING)
     return needs
-
-
-def unused(look: Look) -> dict[str, str]:
-    """Return for each observable whose channel cannot be used as it is why, in a few words."""
-    reasons = {}
-    for name, channel in look.chosen.items():
-        record = quantity(name)
-        wanted = record.unit if record else None
-        if channel.name in look.request.scales or channel.unit == wanted:
-            continue
-        if channel.unit is None:
-            reasons[name] = "no unit"
-        elif channel.unit == "V" and wanted == "m":
-            if f"scale:{channel.name}" not in look.recording.facts:
-                reasons[name] = "no sensitivity"
-        else:
-            reasons[name] = f"not in {wanted}"
-    if "A0" in look.chosen and "A0" not in reasons and abs(_mean(look)) > _TAPPING_MEAN and not look.curve:
-        reasons["A0"] = "an offset or a set-point is in it"
-    return reasons
-
-
-def spare_channels(look: Look) -> list[str]:
-    """Return channels of the user's own inputs that nothing uses."""
-    used = {channel.name for channel in look.chosen.values()}
-    names = (c.name for c in look.recording.channels if not c.nap and c.name.lower().startswith(_SPARE))
-    return [name for name in dict.fromkeys(names) if name not in used]
 
 
 # --- one need after the other ---------------------------------------------------------------------
 
 
 def _mode(look: Look) -> Need:
-    what, mode = "tapping (AC) mode", look.mode
+    what, mode = TAPPING, look.mode
     if mode is None or mode.tapping:
         return Need(what, THERE)
-    remark = f"the file says {mode.title} ({mode.key})"
+    remark = mode.sentence()
     if look.curve and {"A1", "phi1"} <= look.chosen.keys() and _free_resonance(look):
         # Asylum's curves carry the mode of the images around them.
         remark += ", but the lever was driven at its free resonance, as in tapping"
@@ -140,7 +117,9 @@ def _recorded(look: Look, name: str) -> Need:
     what = {"A1": "amplitude of the first harmonic (A1)", "phi1": "phase of the first harmonic (phi1)"}[name]
     channel = look.chosen.get(name)
     if channel is None:
-        return Need(what, LOST, "not recorded under a name that overtone knows")
+        units = ("m", "V", None) if name == "A1" else ("rad", None)
+        known = "" if not nameable_channels(look, units) else " under a name that overtone knows"
+        return Need(what, LOST, f"{ABSENT}{known}")
     if channel.flattened:
         remark = f"{channel.name} was flattened or plane-fitted: its absolute value is lost"
         return Need(what, LOST, remark)
@@ -188,12 +167,7 @@ def _probe(look: Look) -> dict[str, Need]:
 def _resonance(look: Look, what: str, short: str) -> Need:
     usable = usable_resonances(look.recording)
     if not usable:
-        catalogue = [
-            f"{format_quantity(pair.frequency, 'Hz', 6)}, Q {pair.quality_factor:.4g} ({', '.join(pair.keys)}) is of "
-            "the catalogue, not of this lever"
-            for pair in look.recording.resonances
-        ]
-        return Need(what, MISSING, "; ".join(catalogue), short)
+        return Need(what, MISSING, "; ".join(map(why_not, look.recording.resonances)), short)
     first = usable[0]
     if first.source == NOMINAL:
         remark = (
@@ -208,6 +182,9 @@ def _resonance(look: Look, what: str, short: str) -> Need:
 
 def _metres(look: Look) -> Need:
     what, channel, facts = "A1 in metres", look.chosen["A1"], look.recording.facts
+    if _is_too_large(look):
+        remark = "it averages more than the free amplitude: one of the two is not calibrated like the other"
+        return Need(what, DOUBTFUL, remark, "a calibrated sensitivity")
     if channel.name in look.request.scales:
         return Need(what, THERE)
     if channel.unit == "m":
@@ -232,6 +209,11 @@ def _metres(look: Look) -> Need:
     return Need(what, LOST, f"{channel.name} is in {channel.unit}: it is no amplitude")
 
 
+def _is_too_large(look: Look) -> bool:
+    """Tell whether A1 averages more than its free value, which no lever that taps does."""
+    return any(text.startswith(TOO_LARGE) for _, text in look.said)
+
+
 def _default(value: float, key: str) -> str:
     return (
         f"the sensitivity, {quantity_text(value, 'm/V')} ({key}), is a factory default: lengths are nominal"
@@ -250,7 +232,7 @@ def _zero(look: Look) -> Need:
     producing = [
         text for kind, text in look.said if kind is PhaseReferenceWarning and text.startswith("most pixels")
     ]
-    if look.opened is not None and producing:
+    if look.opened is not None and producing and not _is_too_large(look):
         return Need(
             what,
             DOUBTFUL,
@@ -260,11 +242,10 @@ def _zero(look: Look) -> Need:
     if look.request.far_phase is not None:
         return Need(what, THERE)
     vendor = vendor_of(look.recording)
-    if reading is not None and look.recording.vendor == "overtone":
-        state = THERE if reading.phase_established else MISSING
-        return Need(
-            what, state, "" if state == THERE else "nothing says that phases are referred to it", short
-        )
+    if look.recording.vendor == "overtone":
+        if look.request.corrected or (reading is not None and reading.phase_established):
+            return Need(what, THERE)
+        return Need(what, MISSING, "nothing says that the phases are referred to the free lever", short)
     free = look.recording.facts.get("free_phase")
     if not vendor.phase_known:
         hint = f"; {quantity_text(free.value, 'rad')} ({free.key}) may be it" if free else ""
@@ -273,8 +254,8 @@ def _zero(look: Look) -> Need:
     error = free_phase_error(look.recording, probe) if probe is not None else None
     if free is not None and probe is not None and error is not None and abs(error) > PLAUSIBLE_PHASE:
         remark = (
-            f"{math.degrees(free.value):.1f} deg in the file ({free.key}), where a lever with this resonance and drive has "
-            f"{math.degrees(far_phase(probe)):.1f} deg"
+            f"{math.degrees(free.value):.1f} deg in the file ({free.key}), where a lever with this resonance and drive "
+            f"has {math.degrees(far_phase(probe)):.1f} deg"
         )
         return Need(what, DOUBTFUL, remark, short)
     return Need(what, THERE)
@@ -299,7 +280,7 @@ def _harmonic(look: Look, name: str) -> Need:
             if part in reasons:
                 remark = f"{look.chosen[part].name}: {reasons[part]}"
                 if part == "A0" and reasons[part].startswith("an offset"):
-                    mean = format_quantity(_mean(look), "m")
+                    mean = format_quantity(mean_deflection(look), "m")
                     remark += f" (its mean is {mean}, where tapping leaves picometres)"
                     return Need(what, DOUBTFUL, remark, "the zero of A0")
                 return Need(what, MISSING, remark, f"the unit of {look.chosen[part].name}")
@@ -322,7 +303,7 @@ def _harmonic(look: Look, name: str) -> Need:
             f"not there, unless {' or '.join(spare)} holds it",
             f"the name of the channel of {name}",
         )
-    return Need(what, LOST, "not recorded")
+    return Need(what, LOST, ABSENT)
 
 
 def _modes(look: Look) -> Need:
@@ -332,7 +313,7 @@ def _modes(look: Look) -> Need:
         return Need(what, THERE)
     if probe is not None and probe.detector.kind == SLOPE and len(probe.cantilever.modes) > 1:
         return Need(what, THERE)
-    return Need(what, MISSING, "an optical lever reads slopes: A0 and harmonics need them", short)
+    return Need(what, MISSING, "an optical lever reads slopes, not displacements", short)
 
 
 def _calibration(look: Look) -> Need:
@@ -346,16 +327,6 @@ def _calibration(look: Look) -> Need:
         "it gives the zero of A0, gains and distortion",
         "an approach curve on a reference material",
     )
-
-
-def _mean(look: Look) -> float:
-    channel: Channel = look.chosen["A0"]
-    values = channel.values[np.isfinite(channel.values)]
-    scale = look.request.scales.get(channel.name, 1.0)
-    if channel.unit == "V" and channel.name not in look.request.scales:
-        fact = look.recording.facts.get(f"scale:{channel.name}")
-        scale = fact.value if fact is not None else 1.0
-    return float(values.mean()) * scale if values.size else 0.0
 
 
 def open_ends(needs: Mapping[str, Need], keys: tuple[str, ...]) -> Iterator[Need]:

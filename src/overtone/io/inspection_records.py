@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -151,7 +152,7 @@ class Verdict:
 
     def sentence(self) -> str:
         """Return question, answer and reason in one line."""
-        answer = f"{self.answer} {_listed(self.lacking)}" if self.lacking else self.answer
+        answer = f"{self.answer} {listed(self.lacking)}" if self.lacking else self.answer
         return f"{self.question}: {answer}. {self.reason}".strip()
 
 
@@ -165,6 +166,8 @@ class Inspection:
         The file.
     kind : str
         ``scan``, ``video``, ``curve``, ``points`` or ``result``.
+    format : str
+        Format of the file, in words.
     headline : str
         What was found, in one sentence.
     channels : tuple of ChannelRow
@@ -189,6 +192,7 @@ class Inspection:
 
     path: Path
     kind: str
+    format: str
     headline: str
     channels: tuple[ChannelRow, ...] = ()
     settings: tuple[SettingRow, ...] = ()
@@ -201,5 +205,27 @@ class Inspection:
     made_by: tuple[str, ...] = field(default=())
 
 
-def _listed(words: tuple[str, ...]) -> str:
+def listed(words: Sequence[str]) -> str:
+    """Return words as a list of prose.
+
+    Examples
+    --------
+    >>> listed(["k"]), listed(["k", "f0 and Q", "A0"])
+    ('k', 'k, f0 and Q and A0')
+    """
     return words[0] if len(words) == 1 else ", ".join(words[:-1]) + " and " + words[-1]
+
+
+def as_sentence(text: str) -> str:
+    """Return a text as a sentence: with a capital letter, unless it begins with a name, and a full stop.
+
+    Examples
+    --------
+    >>> as_sentence("the file holds both"), as_sentence("M1A: no unit"), as_sentence("overtone map says it.")
+    ('The file holds both.', 'M1A: no unit.', 'overtone map says it.')
+    """
+    text = text.strip()
+    first = text.split(maxsplit=1)[0] if text else ""
+    if first.isalpha() and first.islower() and first != "overtone":
+        text = text[0].upper() + text[1:]
+    return text if not text or text.endswith((".", "?", "!")) else f"{text}."

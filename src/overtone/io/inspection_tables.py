@@ -8,7 +8,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from overtone.io.inspection_records import ChannelRow, SettingRow
-from overtone.io.recording import Channel, Fact, Recording
+from overtone.io.recording import Channel, Recording
+from overtone.io.registry import FORMATS
 from overtone.io.resonance import NOMINAL
 from overtone.io.selection import is_clipped
 from overtone.units import display_unit, format_quantity
@@ -67,6 +68,8 @@ def channel_rows(
             else []
         )
         remarks += [unused[role]] if role in unused else []
+        if role and f"offset:{channel.name}" in recording.facts:
+            remarks.append("+ set-point")
         if role not in ("", "height") and _is_saturated(role, used):
             remarks.append("saturated")
         mean, low, high = (
@@ -90,7 +93,12 @@ def setting_rows(recording: Recording) -> list[SettingRow]:
         if name == "second_lockin_frequency" and not second:
             continue  # what is left in the software of a lock-in that nobody recorded
         rows.append(
-            SettingRow(_words(name), quantity_text(fact.value, fact.unit), fact.key, _remark(name, fact))
+            SettingRow(
+                _words(name),
+                quantity_text(fact.value, fact.unit),
+                fact.key,
+                _DEFAULT if fact.factory_default else "",
+            )
         )
     for pair in recording.resonances:
         text = f"{format_quantity(pair.frequency, 'Hz', 6)}, Q {pair.quality_factor:.4g}"
@@ -136,6 +144,11 @@ def numbers_text(row: ChannelRow) -> tuple[str, str, str]:
     return unit, texts[0], texts[1] if row.low == row.high else f"{texts[1]} .. {texts[2]}"
 
 
+def format_title(key: str) -> str:
+    """Return the name of a format for people."""
+    return next((known.title for known in FORMATS if known.key == key), key)
+
+
 def size_text(recording: Recording) -> str:
     """Return how many pixels or points there are, and over what size."""
     if not recording.channels:
@@ -174,10 +187,6 @@ def _words(name: str) -> str:
             kind, name
         )
     return _WORDS.get(name, name.replace("_", " "))
-
-
-def _remark(name: str, fact: Fact) -> str:
-    return _DEFAULT if fact.factory_default else ""
 
 
 def _identity(channel: Channel) -> tuple[str, str | None, bool]:

@@ -20,12 +20,13 @@ from typing import Any
 import numpy as np
 
 from overtone.errors import FileFormatError
-from overtone.io import jpk_header, netcdf
+from overtone.io import hdf5_guard, jpk_header, netcdf
 from overtone.io.jpk_header import Slot
 from overtone.io.recording import Channel, Recording
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _MARK = b"file-format-info"
+_HEAP = b"GCOL"
 _SUFFIX = ".h5-jpk"
 _POSITIONS = b"position-pattern"
 _GRID = "position-pattern.grid"
@@ -69,6 +70,14 @@ def read(path: Path) -> Recording:
     FileFormatError
         If the file is damaged, claims more than it can hold, or was not written to its end.
     """
+    with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as content:
+        has_heap = content.find(_HEAP) >= 0
+    if has_heap:  # JPK's software writes none, but damage to one sends HDF5 astray
+        hdf5_guard.check(path, f"{__name__}:{_unguarded.__name__}")
+    return _unguarded(path)
+
+
+def _unguarded(path: Path) -> Recording:
     import h5py
 
     notes: list[str] = []

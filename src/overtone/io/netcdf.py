@@ -13,6 +13,7 @@ import numpy.typing as npt
 import xarray as xr
 
 from overtone.errors import FileFormatError, ObservablesError
+from overtone.io import hdf5_guard
 from overtone.io.atomic import atomic_path
 from overtone.io.attributes import as_text, storable_attributes
 from overtone.io.recording import Channel, Fact, Recording
@@ -241,7 +242,14 @@ def _load(path: Path, head: bytes) -> xr.Dataset:
             hint="convert it with: nccopy -k nc4 old.nc new.nc",
         )
     with _reading(path):
-        _check_seal(path)
+        sealed = _check_seal(path)
+    if not sealed:  # nothing tells damage from data, and some damage HDF5 never returns from
+        hdf5_guard.check(path, f"{__name__}:{_unguarded.__name__}")
+    return _unguarded(path)
+
+
+def _unguarded(path: Path) -> xr.Dataset:
+    with _reading(path):
         _open_once(path)
         dataset = xr.open_dataset(path, engine="h5netcdf", decode_times=False)
     with dataset, _reading(path):
@@ -280,8 +288,8 @@ def _seal(path: Path) -> tuple[int, bytes] | None:
     return (size, end.removeprefix(_SEAL)) if end.startswith(_SEAL) else None
 
 
-def _check_seal(path: Path) -> None:
-    """Refuse a sealed file that has changed, before HDF5, which damage can send into endless loops."""
+def _check_seal(path: Path) -> bool:
+    """Tell whether a file is sealed; refuse one that has changed, before HDF5, which damage can send astray."""
     found = _seal(path)
     if found is not None and found[1] != _digest(path, found[0]):
         raise FileFormatError(
@@ -290,6 +298,7 @@ def _check_seal(path: Path) -> None:
             got="another digest",
             hint="copy the file again",
         )
+    return found is not None
 
 
 def _digest(path: Path, size: int) -> bytes:

@@ -95,7 +95,7 @@ def rank_resonances(recording: Recording, *, referenced: bool = False) -> tuple[
     missing = [name for name in needed if name not in facts]
     usable = usable_resonances(recording)
     if not usable:
-        catalogue = "; ".join(map(_of_the_catalogue, recording.resonances))
+        catalogue = "; ".join(map(why_not, recording.resonances))
         missing.append("resonance frequency and quality factor" + (f" ({catalogue})" if catalogue else ""))
     if missing:
         raise ProbeError(
@@ -119,8 +119,9 @@ def rank_resonances(recording: Recording, *, referenced: bool = False) -> tuple[
         pair = usable[0]
         warnings.warn(
             f"{recording.path.name}: {format_quantity(pair.frequency, 'Hz', 6)} with Q {pair.quality_factor:g} "
-            f"({', '.join(pair.keys)}) stands where the catalogue's values stand until a lever is measured, and nothing "
-            "says that it was. The drive lies within its width, so it was used; energies go as 1/Q. Give a probe file.",
+            f"({', '.join(pair.keys)}) stands where the catalogue's values stand until a lever is measured, and "
+            "nothing says that it was. The drive lies within its width, so it was used; energies go as 1/Q. Give a "
+            "probe file.",
             UncalibratedWarning,
             stacklevel=2,
         )
@@ -173,11 +174,10 @@ def usable_resonances(recording: Recording) -> tuple[Resonance, ...]:
     return measured or driven or others
 
 
-def _of_the_catalogue(pair: Resonance) -> str:
-    return (
-        f"{format_quantity(pair.frequency, 'Hz', 6)} with Q {pair.quality_factor:g}, {', '.join(pair.keys)}, is of the "
-        "catalogue"
-    )
+def why_not(pair: Resonance) -> str:
+    """Return why a nominal resonance does not become the probe."""
+    why = "is of the catalogue, not of this lever" if pair.factory_default else "is not what was driven"
+    return f"{format_quantity(pair.frequency, 'Hz', 6)} with Q {pair.quality_factor:.4g}, {', '.join(pair.keys)}, {why}"
 
 
 def free_phase_error(recording: Recording, probe: Probe) -> float | None:

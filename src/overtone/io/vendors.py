@@ -183,8 +183,8 @@ def candidates(recording: Recording, observable: str, *, lift: bool = False) -> 
 
     Every vendor's file may also name a channel by the observable itself. Lock-ins beyond the first count as
     higher harmonics only where the second one listens at exactly twice the drive: in dual-tone modes it does not.
-    With ``lift`` they are the names that the same channels have in a Nap or Lift pass: some vendors prefix them, some do
-    not.
+    With ``lift`` they are the names that the same channels have in a Nap or Lift pass: some vendors prefix them,
+    some do not.
     """
     names = vendor_of(recording).aliases.get(observable, ())
     if recording.vendor == "asylum" and observable not in _FIRST_LOCK_IN:
