@@ -35,7 +35,7 @@ def scan() -> xr.Dataset:
     """A scan in which nothing was recorded in a whole block."""
     scan = virtual_scan(shape=(48, 40), seed=1)[0]
     for name in ("A1", "phi1", "A2", "phi2", "A3", "phi3", "A0"):
-        scan[name][16:34, :20] = np.nan
+        scan[name][16:34, :33] = np.nan
     return scan
 
 
@@ -85,7 +85,7 @@ def test_blocks_give_what_the_whole_gives(folder: Path, settings: Settings) -> N
     assert record.summary["pixels"] == 1920
     if "status" in whole:
         assert record.summary["determined"] == float((whole["status"] == 0).mean())
-        assert 0.0 < float((whole["status"] == 6).mean()) < 0.25
+        assert 0.3 < float((whole["status"] == 6).mean()) < 0.35
     assert not (folder / WORK).exists()
 
 

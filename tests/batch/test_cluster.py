@@ -17,6 +17,7 @@ from overtone.batch.cluster import run_jobs
 from overtone.batch.one import FAILED, KEPT, MAPPED
 from overtone.cli import main
 from overtone.errors import OvertoneError
+from overtone.io.netcdf import load, save
 
 from .conftest import SETTINGS, assert_same_results, write_scans
 
@@ -60,15 +61,22 @@ def test_the_workers_of_a_scheduler_take_one_scan_at_a_time(
     scans: Path, scheduler: Any, tmp_path: Path
 ) -> None:
     """With two threads each: findings come from warnings, which are one for all threads of a process."""
-    files = sorted(scans.glob("*.nc"))[:8]
+    base = load(scans / "scan_000.nc")
+    files = [tmp_path / "scans" / f"scan_{i:03d}.nc" for i in range(16)]
+    files[0].parent.mkdir()
+    for i, file in enumerate(files):
+        save(base.assign(A0=base["A0"] + (10 + i) * 1e-9).assign_attrs(base.attrs), file)
     (tmp_path / "odd.nc").write_text("no scan")
     address = scheduler.scheduler_address
     batch = ot.map_files([*files, tmp_path / "odd.nc"], tmp_path / "cluster", cluster=address, **SETTINGS)
-    assert [outcome.state for outcome in batch.outcomes] == [MAPPED] * 8 + [FAILED]
+    assert [outcome.state for outcome in batch.outcomes] == [MAPPED] * 16 + [FAILED]
     ot.map_files(files, tmp_path / "plain", **SETTINGS)
-    assert_same_results(tmp_path / "cluster", tmp_path / "plain", 8)
+    assert_same_results(tmp_path / "cluster", tmp_path / "plain", 16)
+    for i, file in enumerate(files):
+        findings = load(tmp_path / "cluster" / file.name).attrs["findings"]
+        assert re.findall(r"averages (\d+)[\d.]* nm", findings) == [str(10 + i)]
     again = ot.map_files(files, tmp_path / "cluster", cluster=address, **SETTINGS)
-    assert again.count(KEPT) == 8
+    assert again.count(KEPT) == 16
 
 
 DIE = "__import__('os').kill(__import__('os').getpid(), 9)"

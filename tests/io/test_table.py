@@ -3,7 +3,9 @@ import time
 
 import numpy as np
 import pytest
+import xarray as xr
 
+import overtone as ot
 from overtone.errors import FileFormatError
 from overtone.io.registry import read_channels
 
@@ -143,3 +145,34 @@ def test_large_map_in_reasonable_time(read_table):
     start = time.perf_counter()
     assert read_table(text).channels[0].values.shape == (128, 128)
     assert time.perf_counter() - start < 5.0
+
+
+@pytest.mark.parametrize("end", ["", "3", "3e-1", "3.5, "])
+def test_a_table_that_ends_within_a_row_was_cut_off(tmp_path, end):
+    path = tmp_path / "cut.csv"
+    path.write_text(f"z [nm], A1 [nm], phi1 [deg]\n1, 2, 3\n{end}")
+    if not end:
+        assert read_channels(path).channels[0].values.size == 1
+        return
+    with pytest.raises(FileFormatError, match=r"3 cells in line 3, got \d and the end of the file"):
+        read_channels(path)
+    # Short rows stay allowed: with an end, or where others are short too.
+    path.write_text(f"z [nm], A1 [nm], phi1 [deg]\n1, 2, 3\n{end}\n")
+    assert read_channels(path).channels[0].values.size == 2
+    path.write_text(f"z [nm], A1 [nm], phi1 [deg]\n1, 2\n{end}")
+    assert read_channels(path).channels[0].values.size == 2
+
+
+def test_rows_of_a_table_of_ours_are_counted(tmp_path):
+    path = tmp_path / "own.csv"
+    ot.save(xr.Dataset({"A1": ("z", [1.0, 2.0, 3.25], {"units": "m"})}, {"z": [3.0, 2.0, 1.0]}), path)
+    text = path.read_text()
+    assert "# rows: 3\n" in text
+    for cut in (text[:-1], text[:-2], text[: text.rindex("\n", 0, -1) + 1]):
+        path.write_text(cut)
+        with pytest.raises(FileFormatError, match="3 rows as its first lines say"):
+            read_channels(path)
+    path.write_text(text.replace("# rows: 3\n", ""))
+    assert read_channels(path).channels[0].values.size == 3
+    path.write_text(text.replace("# rows: 3\n", "# rows: 9\n").replace("# written by", "# copied from"))
+    assert read_channels(path).channels[0].values.size == 3  # somebody else's line

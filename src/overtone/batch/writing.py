@@ -46,7 +46,7 @@ def write_map(
     mapped : Mapped
         What was mapped.
     output : Path
-        Result, netCDF.
+        Result, netCDF or Zarr.
     stamps : mapping of str to Stamp
         Of `stamps_of`.
     settings : mapping of str to str
@@ -68,7 +68,7 @@ def write_map(
     OvertoneError
         If a file cannot be written.
     """
-    from overtone.io.netcdf import save
+    from overtone.io.export import save
 
     dataset = dataset_of(mapped)
     record = Record(dict(stamps), dict(settings), summary=summary_of(dataset))

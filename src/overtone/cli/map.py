@@ -48,7 +48,7 @@ def map_scan(
     Parameters
     ----------
     file : Path
-        Scan, curve or table: .ibw, a neaSNOM folder, netCDF, CSV.
+        Scan, curve or table of any format that overtone reads.
     further : Path
         Further files: with --out-dir each a scan of its own, with --method population and --output scans of the same
         pixels at other set-points, taken together with the first. Patterns such as "*.ibw" are understood.

@@ -25,10 +25,10 @@ _LONGEST_COMMENT = 4000
 def write(dataset: xr.Dataset, path: str | Path) -> None:
     """Write a dataset as a table: x and y, or z, and a column for each variable, all in SI units.
 
-    The header names every column with its unit, ``A1 [m]``, as `overtone.io.table` reads it. Floats have all their
-    digits, so that they come back bit for bit; empty cells are NaN. A variable over a further dimension has a column
-    for each of its places, ``F_cons harmonic 1 [N]``. Lines with ``#`` above the header hold findings and attributes
-    of one line; a probe takes several lines and has to be given again.
+    The first line says how many rows there are. The header names every column with its unit, ``A1 [m]``, as
+    `overtone.io.table` reads it. Floats have all their digits, so that they come back bit for bit; empty cells are NaN.
+    A variable over a further dimension has a column for each of its places, ``F_cons harmonic 1 [N]``. Lines with ``#``
+    above the header hold findings and attributes of one line; a probe takes several lines and has to be given again.
 
     Parameters
     ----------
@@ -62,6 +62,7 @@ def write(dataset: xr.Dataset, path: str | Path) -> None:
         atomic_path(path) as temporary,
         temporary.open("w", encoding="utf-8", newline="") as stream,
     ):
+        stream.write(f"# rows: {len(columns[0][1])}\n")  # text shows no other way that it was cut off
         stream.writelines(f"# {line}\n" for line in _comments(dataset))
         table = csv.writer(stream, lineterminator="\n")
         table.writerow([heading for heading, _ in columns])

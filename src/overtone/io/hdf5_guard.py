@@ -15,7 +15,8 @@ from pathlib import Path
 from overtone.errors import FileFormatError
 
 MAGIC = b"\x89HDF\r\n\x1a\n"
-_SECONDS, _BYTES_PER_SECOND = 5.0, 20e6
+# With what Python needs to begin, a file of ordinary size that HDF5 never returns from is refused within five seconds.
+_SECONDS, _BYTES_PER_SECOND = 3.0, 20e6
 _START = 60.0  # for Python to begin on a busy machine
 # The clock starts once everything is imported, and ends the process with 1 from a thread that no library can hold up.
 _CODE = """
@@ -44,7 +45,7 @@ def check(path: Path, function: str) -> None:
     Raises
     ------
     FileFormatError
-        If the file is shorter than it says, or the function crashed or took more than five seconds and what the
+        If the file is shorter than it says, or the function crashed or took more than three seconds and what the
         size of the file needs.
     """
     size = path.stat().st_size

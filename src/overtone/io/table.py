@@ -13,7 +13,7 @@ from __future__ import annotations
 import csv
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -69,7 +69,8 @@ def read(path: Path) -> Recording:
     """Read a table of text with a unit in the header of each column.
 
     Units stand as ``A1 [nm]``, ``A1 (nm)`` or ``A1/nm``; values come out in SI units. Empty cells
-    are NaN. Lines that begin with ``#`` are comments, of which ``# key: value`` is kept as metadata.
+    are NaN; a last line without an end that is shorter than all others was cut off. Lines that begin
+    with ``#`` are comments, of which ``# key: value`` is kept as metadata.
 
     Parameters
     ----------
@@ -90,13 +91,16 @@ def read(path: Path) -> Recording:
         raise _unreadable(path, "text", "control characters")
     comments, rows = _comments(_LINE_END.split(text))
     notes: list[str] = []
-    columns = _columns(path, comments, rows, notes)
-    dims, coords, channels = _arranged(columns, notes)
     metadata: dict[str, str] = {}
     for comment in comments:
         key, colon, value = comment.partition(":")
         if colon and key.strip():
             metadata.setdefault(key.strip(), value.strip())
+    ended = text.endswith(("\n", "\r"))
+    if metadata.get("written by", "").startswith("overtone "):
+        _check_rows(path, metadata, max(len(rows) - 1, 0), ended)
+    columns = _columns(path, comments, rows, ended, notes)
+    dims, coords, channels = _arranged(columns, notes)
     return Recording(
         path=path,
         format="table",
@@ -153,11 +157,20 @@ def _unreadable(path: Path, expected: str, got: str, hint: str | None = None) ->
     )
 
 
+def _check_rows(path: Path, metadata: Mapping[str, str], rows: int, ended: bool) -> None:
+    """Refuse a table that overtone wrote where rows are missing, or the end of the last one."""
+    stated = metadata.get("rows")
+    if stated is not None and (stated != str(rows) or not ended):
+        got = f"{rows}" if ended else f"{rows}, the last without its end"
+        hint = "copy the file again, or take the line out that states them where rows were removed on purpose"
+        raise _unreadable(path, f"{stated[:20]} rows as its first lines say", got, hint)
+
+
 # --- columns --------------------------------------------------------------------------------------
 
 
 def _columns(
-    path: Path, comments: Sequence[str], rows: list[tuple[int, str]], notes: list[str]
+    path: Path, comments: Sequence[str], rows: list[tuple[int, str]], ended: bool, notes: list[str]
 ) -> list[_Column]:
     if not rows:
         raise _unreadable(path, "a header and rows of numbers", "an empty table")
@@ -181,6 +194,9 @@ def _columns(
     if not body:
         raise _unreadable(path, "rows of numbers below the header", "none")
     cells = _cells(path, body, separator)
+    if not ended and len(cells[-1]) < len(names) and all(len(row) >= len(names) for row in cells[:-1]):
+        got = f"{len(cells[-1])} and the end of the file"
+        raise _unreadable(path, f"{len(names)} cells in line {body[-1][0]}", got, "copy or export it again")
     for (line, _), row in zip(body, cells, strict=True):
         if any(row[len(names) :]):
             raise _unreadable(path, f"{len(names)} cells in line {line}", f"{len(row)}")
