@@ -79,6 +79,7 @@ def predictions(made: World, known: Mapping[str, Any]) -> tuple[xr.Dataset, list
         if material.joint is None or not material.resolved or not material.settled:
             continue
         own = binary_erosion(result["phase"].values == material.index, iterations=_EDGE)
+        own &= np.isfinite(made.scans[2]["A1"].values)  # where the third set-point could be held
         if own.sum() < _FEWEST:
             continue
         measured = readings(made.scans[2].where(xr.DataArray(own, dims=("y", "x"))))

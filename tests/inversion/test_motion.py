@@ -11,11 +11,11 @@ import xarray as xr
 from overtone.contact.evaluate import force_harmonics
 from overtone.contact.models import contact_model
 from overtone.contact.sample import sample
-from overtone.dynamics.balance import FOUND, Motion
+from overtone.dynamics.balance import FOUND, Motion, bottom
 from overtone.dynamics.hold import hold_amplitude
 from overtone.inversion.columns import WORK_ROWS, columns_of, fill_columns, unknowns_of
 from overtone.inversion.linear import stiffness
-from overtone.inversion.motion import COARSE, FEW, FINE, MANY, follow, force_harmonics_on
+from overtone.inversion.motion import COARSE, FEW, FINE, MANY, follow, force_harmonics_on, new_samples
 from overtone.inversion.properties import map_properties
 from overtone.inversion.result import DETERMINED, NO_CONTACT, SEVERAL_SOLUTIONS
 from overtone.kernels import kernel
@@ -67,7 +67,9 @@ MODELS = (
 
 @kernel
 def on_motion(g, amplitude, b, columns, S, F, damping, omega, nodes, f):  # type: ignore[no-untyped-def]
-    force_harmonics_on(Motion(g, amplitude, b), columns, S, F, damping, omega, nodes, f)
+    motion = Motion(g, amplitude, b)
+    samples = new_samples(f.shape[0] - 1, nodes.shape[1])
+    force_harmonics_on(motion, bottom(motion), columns, S, F, damping, omega, nodes, samples, f)
 
 
 def ours(model: str, amplitude: float, turning: float, higher: np.ndarray, many: int = MANY) -> np.ndarray:

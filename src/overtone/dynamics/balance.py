@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from overtone.contact.law import Law, has_tail, has_viscosity, law_force, law_slopes, tail_range
-from overtone.kernels import inner, kernel
+from overtone.kernels import inner, kernel, lean
 
 FOUND, NO_STATE, NOT_CONVERGED, MANY_TOUCHES = 0, 1, 2, 3
 
@@ -85,7 +85,7 @@ class Sums(NamedTuple):
 # --- the motion -------------------------------------------------------------------------------------------------
 
 
-@inner
+@lean
 def gap_at(theta: float, motion: Motion) -> tuple[float, float]:
     """Return the gap and its derivative by theta."""
     g, amplitude, b = motion
@@ -121,7 +121,7 @@ def _crossing(level: float, inside: float, outside: float, motion: Motion) -> fl
     return x
 
 
-@inner
+@lean
 def bottom(motion: Motion) -> float:
     """Return the phase of the closest gap, next to pi."""
     _, amplitude, b = motion

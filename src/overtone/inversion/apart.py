@@ -11,7 +11,7 @@ from overtone.contact.terms import LINEAR_TAIL, VAN_DER_WAALS_TAIL, adhesion_har
 from overtone.inversion.columns import Columns
 from overtone.inversion.search import GOLDEN
 from overtone.inversion.valley import Scratch, whiten
-from overtone.kernels import inner
+from overtone.kernels import lean
 
 _Floats = npt.NDArray[np.float64]
 _Orders = npt.NDArray[np.int64]
@@ -22,7 +22,7 @@ _CLOSEST, _FARTHEST = 1e-4, 1e4
 """Range of the gap out of contact, in units of a0."""
 
 
-@inner
+@lean
 def apart(
     amplitude: float, gap: float, columns: Columns, orders: _Orders, lossy: _Flags, W: _Floats, s: Scratch
 ) -> tuple[float, float, float]:
@@ -46,14 +46,14 @@ def apart(
     return yy, F, bb
 
 
-@inner
+@lean
 def has_reach(columns: Columns) -> bool:
     """Return whether the attraction is felt out of contact."""
     tail = columns.contact.tail
     return bool(tail in (LINEAR_TAIL, VAN_DER_WAALS_TAIL))
 
 
-@inner
+@lean
 def gap_range(columns: Columns, amplitude: float) -> tuple[float, float]:
     """Return the logarithms of the smallest and the largest gap that are searched out of contact."""
     a0 = columns.contact.a0
@@ -65,7 +65,7 @@ def gap_range(columns: Columns, amplitude: float) -> tuple[float, float]:
     return math.log(_CLOSEST * a0), math.log(most)
 
 
-@inner
+@lean
 def closest_apart(
     amplitude: float, columns: Columns, orders: _Orders, lossy: _Flags, W: _Floats, s: Scratch
 ) -> tuple[float, float, float]:

@@ -7,13 +7,16 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from overtone.kernels import inlined, inner
+from overtone.kernels import inlined, inner, lean
 
 _Floats = npt.NDArray[np.float64]
 
 LEVELS = np.array([0.05, 0.5, 0.95])
+MASS_, STEP_ = 0, 1
+"""Rows of bins (2, bin): the mass of each beside what steps add, and by how much it steps up from the one before."""
 
 _PIECES = 8  # of a Gaussian that a bound cuts
+_LEAST_SHARE = 1e-3  # of the upper end of a piece, at which it ends in bins of the logarithm
 _ROOT_2 = math.sqrt(2.0)
 
 
@@ -52,22 +55,39 @@ def gauss_moments(low: float, high: float, mean: float, sigma: float) -> tuple[f
 
 
 @inlined
-def spread_over(histogram: _Floats, low: float, width: float, left: float, right: float, mass: float) -> None:
-    """Add a mass, even between two values, to bins that begin at ``low``."""
-    last = histogram.shape[0] - 1
-    x0, x1 = (left - low) / width, (right - low) / width
+def _spread_between(bins: _Floats, x0: float, x1: float, mass: float) -> None:
+    """Add a mass, even between two places in units of bins."""
+    last = bins.shape[1] - 1
     k0, k1 = int(min(max(x0, 0.0), last)), int(min(max(x1, 0.0), last))
     if k0 == k1 or not x1 > x0:
-        histogram[k0] += mass
+        bins[MASS_, k0] += mass
         return
     even = mass / (x1 - x0)
-    histogram[k0] += even * (k0 + 1 - x0)
-    for k in range(k0 + 1, k1):
-        histogram[k] += even
-    histogram[k1] += even * (x1 - k1)
+    bins[MASS_, k0] += even * (k0 + 1 - x0)
+    bins[MASS_, k1] += even * (x1 - k1)
+    # between them every bin gains as much: where that begins and where it ends is all that is noted
+    if k1 > k0 + 1:
+        bins[STEP_, k0 + 1] += even
+        bins[STEP_, k1] -= even
+
+
+@inlined
+def spread_over(bins: _Floats, low: float, fineness: float, left: float, right: float, mass: float) -> None:
+    """Add a mass, even between two values, to so many bins a unit that begin at ``low``."""
+    _spread_between(bins, (left - low) * fineness, (right - low) * fineness, mass)
 
 
 @inner
+def sum_steps(bins: _Floats) -> _Floats:
+    """Return the histogram, when all masses are in."""
+    each = 0.0
+    for k in range(bins.shape[1]):
+        each += bins[STEP_, k]
+        bins[MASS_, k] += each
+    return bins[MASS_]
+
+
+@lean
 def fill_quantiles(histogram: _Floats, low: float, width: float, out: _Floats) -> None:
     """Fill the quantiles of a histogram."""
     total = 0.0
@@ -82,41 +102,88 @@ def fill_quantiles(histogram: _Floats, low: float, width: float, out: _Floats) -
         below = above
 
 
-@inner
+@lean
 def smear(histogram: _Floats, sigma: float, work: _Floats) -> None:
     """Fold a histogram with a Gaussian of a width in bins."""
-    reach = int(4.0 * sigma) + 1
-    size = histogram.shape[0]
+    size, reach = histogram.shape[0], int(4.0 * sigma) + 1
+    # from bin to bin a Gaussian falls by a factor, and that factor by a constant one
+    first, bend = math.exp(-0.5 / (sigma * sigma)), math.exp(-1.0 / (sigma * sigma))
+    norm, part, fall = 1.0, 1.0, first
+    for _ in range(reach):
+        part *= fall
+        fall *= bend
+        norm += 2.0 * part
     for k in range(size):
-        work[k] = 0.0
-    norm = 0.0
-    for j in range(-reach, reach + 1):
-        norm += math.exp(-0.5 * (j / sigma) ** 2)
-    for j in range(-reach, reach + 1):
-        share = math.exp(-0.5 * (j / sigma) ** 2) / norm
-        for k in range(max(0, -j), min(size, size - j)):
-            work[k + j] += share * histogram[k]
-    for k in range(size):
+        work[k] = histogram[k] / norm
         histogram[k] = work[k]
+    part, fall = 1.0, first
+    for j in range(1, min(reach + 1, size)):
+        part *= fall
+        fall *= bend
+        for k in range(size - j):
+            histogram[k] += part * work[k + j]
+        for k in range(size - j):
+            histogram[k + j] += part * work[k]
+
+
+@inlined
+def _bin_of(value: float, low: float, fineness: float, logarithmic: bool) -> float:
+    """Return where a value is, in units of bins."""
+    return ((math.log(value) if logarithmic else value) - low) * fineness
 
 
 @inlined
 def _add_even(
-    histogram: _Floats, low: float, width: float, left: float, right: float, logarithmic: bool, mass: float
+    bins: _Floats, low: float, fineness: float, left: float, right: float, logarithmic: bool, mass: float
 ) -> None:
     if logarithmic:
         right = max(right, 1e-300)
-        left = max(left, 1e-3 * right)
-        spread_over(histogram, low, width, math.log(left), math.log(right), mass)
-    else:
-        spread_over(histogram, low, width, left, right, mass)
+        left = max(left, _LEAST_SHARE * right)
+    x0, x1 = _bin_of(left, low, fineness, logarithmic), _bin_of(right, low, fineness, logarithmic)
+    _spread_between(bins, x0, x1, mass)
 
 
-@inner
-def add_gaussian(
-    histogram: _Floats,
+@inlined
+def _add_pieces(
+    bins: _Floats,
     low: float,
-    width: float,
+    fineness: float,
+    left: float,
+    right: float,
+    middle: float,
+    sigma: float,
+    logarithmic: bool,
+    mass: float,
+) -> None:
+    """Add a Gaussian between two values in even pieces."""
+    piece = (right - left) / _PIECES
+    first = left + 0.5 * piece - middle
+    # relative to the largest of them: far beyond a bound all are small
+    nearest = min(max(middle, left), right) - middle
+    per = 0.5 / (sigma * sigma)
+    height = math.exp(-per * (first * first - nearest * nearest))
+    # from piece to piece a Gaussian grows by a factor, and that factor by a constant one
+    growth, bend = math.exp(-per * piece * (2.0 * first + piece)), math.exp(-2.0 * per * piece * piece)
+    total, h, g = 0.0, height, growth
+    for _ in range(_PIECES):
+        total += h
+        h *= g
+        g *= bend
+    start = max(left, _LEAST_SHARE * (left + piece), 1e-300) if logarithmic else left
+    x0, h, g = _bin_of(start, low, fineness, logarithmic), mass / total * height, growth
+    for j in range(_PIECES):
+        x1 = _bin_of(left + (j + 1) * piece, low, fineness, logarithmic)
+        _spread_between(bins, x0, x1, h)
+        x0 = x1
+        h *= g
+        g *= bend
+
+
+@lean
+def add_gaussian(
+    bins: _Floats,
+    low: float,
+    fineness: float,
     middle: float,
     half: float,
     sigma: float,
@@ -139,23 +206,13 @@ def add_gaussian(
                 left, right = least, min(least + 3.0 * reach, most)
             else:
                 left, right = max(most - 3.0 * reach, least), most
-        piece = (right - left) / _PIECES
-        total = 0.0
-        # relative to the largest of them: far beyond a bound all are small
-        nearest = min(max(middle, left), right) - middle
-        for j in range(_PIECES):
-            off = left + (j + 0.5) * piece - middle
-            total += math.exp(-0.5 * (off * off - nearest * nearest) / (sigma * sigma))
-        for j in range(_PIECES):
-            off = left + (j + 0.5) * piece - middle
-            part = mass / total * math.exp(-0.5 * (off * off - nearest * nearest) / (sigma * sigma))
-            _add_even(histogram, low, width, left + j * piece, left + (j + 1) * piece, logarithmic, part)
+        _add_pieces(bins, low, fineness, left, right, middle, sigma, logarithmic, mass)
         return
     scale = max(abs(middle), 1e-300) if logarithmic else 1.0
-    if sigma <= 0.3 * half or sigma <= 0.3 * width * scale:
+    if sigma <= 0.3 * half or sigma * fineness <= 0.3 * scale:
         reach = math.sqrt(half * half + 3.0 * sigma * sigma)
         _add_even(
-            histogram, low, width, max(middle - reach, least), min(middle + reach, most), logarithmic, mass
+            bins, low, fineness, max(middle - reach, least), min(middle + reach, most), logarithmic, mass
         )
         return
     # three even pieces that together have the variance and nearly the 90 % interval of a Gaussian
@@ -164,9 +221,9 @@ def add_gaussian(
         there = middle + way * 1.3 * sigma
         part = mass * (0.5 if way == 0.0 else 0.25)
         _add_even(
-            histogram,
+            bins,
             low,
-            width,
+            fineness,
             max(there - wide, least),
             max(min(there + wide, most), least),
             logarithmic,

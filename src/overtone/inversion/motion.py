@@ -22,6 +22,7 @@ from overtone.harmonics import tip_receptance
 from overtone.inversion.apart import closest_apart
 from overtone.inversion.columns import Columns, adhesive, fill_columns
 from overtone.inversion.exact import C_, DELTA_, F_, S_, polish
+from overtone.inversion.linear import Contact
 from overtone.inversion.search import Pixel, columns_at, pixel_at, scan_valley
 from overtone.inversion.table import DEEPEST, NODES, SHALLOWEST, STEP, Table, locate
 from overtone.inversion.valley import (
@@ -35,7 +36,7 @@ from overtone.inversion.valley import (
     solved,
     whiten,
 )
-from overtone.kernels import inlined, inner, kernel
+from overtone.kernels import inlined, inner, kernel, lean
 from overtone.probe import Probe
 
 _Floats = npt.NDArray[np.float64]
@@ -48,6 +49,8 @@ COARSE, FINE = 12, 16
 _STILL = 1e-7  # last step of t; the next would be a tenth of it
 _NEARLY_STILL = 1e-4
 _TURN_OF_A_PIECE = 12.0  # phase of the highest harmonic [rad]
+_SIDE_BY_SIDE = 4
+_MET = 1e-6  # last step of a phase: Newton's next would be of the size of its square
 _SETTLING = 30
 _STEADY = 6  # times that the material is found again at one t, where care is taken
 _PATIENCE = 5  # steps after which they have to shrink
@@ -64,60 +67,48 @@ def gauss_rule(nodes: int) -> _Floats:
     return np.array([0.5 * (1.0 + x), 0.5 * w])
 
 
-@inlined
-def _add(
-    theta: float,
-    weight: float,
-    motion: Motion,
-    columns: Columns,
-    S: float,
-    F: float,
-    damping: float,
-    omega: float,
-    inside: bool,
-    f: _Complex,
-) -> None:
-    """Add the force at a phase to its harmonics."""
-    turn = complex(math.cos(theta), math.sin(theta))
-    d, slope = motion.g + motion.amplitude * turn.real, -motion.amplitude * turn.imag
-    power = turn
-    for n in range(2, motion.b.shape[0]):
-        power *= turn
-        b = motion.b[n]
-        d += b.real * power.real - b.imag * power.imag
-        slope -= n * (b.real * power.imag + b.imag * power.real)
-    contact = columns.contact
-    force = 0.0
-    if inside:
-        depth = max(-d, 0.0)
-        p = columns.powers[0]
-        if p == 1.5:
-            root = math.sqrt(depth)
-            force = S * depth * root - damping * root * omega * slope
-        else:
-            force = S * depth**p
-            if damping != 0.0:
-                force -= damping * depth ** (p - 1.0) * omega * slope
-        for k in range(1, columns.powers.shape[0]):
-            force += S * columns.shares[k] * depth ** columns.powers[k]
-        if contact.tail != NO_ADHESION:
-            force -= F
-    else:
-        force = -F * tail_shape(contact.tail, max(d, 0.0), contact.a0)
-    back = complex(turn.real, -turn.imag)
-    share = complex(force * weight / math.pi, 0.0)
-    f[0] += 0.5 * share
-    for n in range(1, f.shape[0]):
-        share *= back
-        f[n] += share
+class Samples(NamedTuple):
+    """Phases of a motion, all of them at a time: loops over them wait for nothing, those over harmonics would."""
+
+    theta: _Floats
+    """(phase,)."""
+    weight: _Floats
+    """(phase,): of the quadrature."""
+    inside: npt.NDArray[np.bool_]
+    """(phase,): whether it is in contact."""
+    cosine: _Floats
+    """(order, phase): of n theta."""
+    sine: _Floats
+    gap: _Floats
+    """(phase,)."""
+    rate: _Floats
+    """(phase,): derivative of the gap by theta."""
+    share: _Floats
+    """(phase,): of the force in the harmonics."""
 
 
 @inner
+def new_samples(harmonics: int, nodes: int) -> Samples:
+    """Return room for the phases of a motion of so many harmonics, with so many nodes a piece."""
+    most = 2 * nodes * (2 + int(math.pi * harmonics / _TURN_OF_A_PIECE)) + _SIDE_BY_SIDE
+    return Samples(
+        np.zeros(most),
+        np.zeros(most),
+        np.zeros(most, np.bool_),
+        np.zeros((harmonics + 1, most)),
+        np.zeros((harmonics + 1, most)),
+        np.zeros(most),
+        np.zeros(most),
+        np.zeros(most),
+    )
+
+
+@lean
 def _where(level: float, inside: float, outside: float, motion: Motion) -> float:
     """Return the phase between two others where the gap meets a level; ``outside`` where it does not."""
     if gap_at(outside, motion)[0] <= level:
         return outside
-    low, high, x = inside, outside, 0.5 * (inside + outside)
+    low, high = inside, outside
     # next to the turning point the gap is a parabola
     depth = level - gap_at(inside, motion)[0]
     guess = math.acos(min(max(1.0 - depth / motion.amplitude, -1.0), 1.0))
@@ -129,33 +120,26 @@ def _where(level: float, inside: float, outside: float, motion: Motion) -> float
         else:
             high = x
         step = (d - level) / slope if slope != 0.0 else math.inf
-        there = x - step
-        if not min(low, high) < there < max(low, high):
-            there = 0.5 * (low + high)
-        done = abs(there - x) < 1e-12
-        x = there
-        if done:
-            break
+        if abs(step) < _MET:
+            return x - step
+        x -= step
+        if not min(low, high) < x < max(low, high):
+            x = 0.5 * (low + high)
     return x
 
 
-@inner
-def force_harmonics_on(
-    motion: Motion,
-    columns: Columns,
-    S: float,
-    F: float,
-    damping: float,
-    omega: float,
-    nodes: _Floats,
-    f: _Complex,
-) -> None:
-    """Fill the harmonics of the force on a motion: pieces from the turning point outwards, graded where it decays."""
-    f[:] = 0.0
-    contact = columns.contact
-    lowest = bottom(motion)
+@inlined
+def _put(theta: float, weight: float, inside: bool, count: int, samples: Samples) -> int:
+    """Add a phase to the samples; return how many there are."""
+    samples.theta[count], samples.weight[count], samples.inside[count] = theta, weight, inside
+    return count + 1
+
+
+@lean
+def _place(motion: Motion, lowest: float, contact: Contact, nodes: _Floats, samples: Samples) -> int:
+    """Fill phases and weights: pieces from the turning point outwards, graded where the force decays."""
     closest = gap_at(lowest, motion)[0]
-    count = nodes.shape[1]
+    found, of_a_piece = 0, nodes.shape[1]
     for way in range(2):
         side = 1.0 if way else -1.0
         far = lowest + side * math.pi
@@ -164,22 +148,12 @@ def force_harmonics_on(
             edge = _where(0.0, lowest, far, motion)
             span = edge - lowest
             # as many pieces as the highest harmonic needs
-            pieces = 1 + int(abs(span) * (f.shape[0] - 1) / _TURN_OF_A_PIECE)
+            pieces = 1 + int(abs(span) * (samples.cosine.shape[0] - 1) / _TURN_OF_A_PIECE)
             for k in range(pieces):
-                for j in range(count):
+                for j in range(of_a_piece):
                     s = (k + nodes[0, j]) / pieces
-                    _add(
-                        edge - span * s * s,
-                        2.0 * abs(span) * s * nodes[1, j] / pieces,
-                        motion,
-                        columns,
-                        S,
-                        F,
-                        damping,
-                        omega,
-                        True,
-                        f,
-                    )
+                    weight = 2.0 * abs(span) * s * nodes[1, j] / pieces
+                    found = _put(edge - span * s * s, weight, True, found, samples)
             start = edge
         if start == far or (contact.tail != LINEAR_TAIL and contact.tail != VAN_DER_WAALS_TAIL):
             continue
@@ -193,42 +167,117 @@ def force_harmonics_on(
             # the gap grows linearly: even steps of the logarithm of 1 + x/width
             width = contact.a0 / max(abs(gap_at(start, motion)[1]), contact.a0 / math.pi)
             length = math.log1p(reach / width)
-            for j in range(count):
+            for j in range(of_a_piece):
                 grown = math.exp(length * nodes[0, j])
-                x = width * (grown - 1.0)
-                _add(
-                    start + side * x,
-                    length * width * grown * nodes[1, j],
-                    motion,
-                    columns,
-                    S,
-                    F,
-                    damping,
-                    omega,
-                    False,
-                    f,
-                )
+                weight = length * width * grown * nodes[1, j]
+                found = _put(start + side * width * (grown - 1.0), weight, False, found, samples)
         else:
             # the gap grows as a parabola from the turning point
             width = math.sqrt(2.0 * (contact.a0 + closest) / motion.amplitude)
             length = math.asinh(reach / width)
-            for j in range(count):
+            for j in range(of_a_piece):
                 v = length * nodes[0, j]
-                _add(
-                    start + side * width * math.sinh(v),
-                    length * width * math.cosh(v) * nodes[1, j],
-                    motion,
-                    columns,
-                    S,
-                    F,
-                    damping,
-                    omega,
-                    False,
-                    f,
-                )
+                weight = length * width * math.cosh(v) * nodes[1, j]
+                found = _put(start + side * width * math.sinh(v), weight, False, found, samples)
+    # what is summed side by side is filled up with phases that have no weight
+    while found % _SIDE_BY_SIDE:
+        found = _put(lowest, 0.0, False, found, samples)
+    return found
 
 
-@inner
+@inlined
+def _next_order(double: _Floats, last: _Floats, before: _Floats, out: _Floats, count: int) -> None:
+    """Fill cos(n theta), or the sine, from those of the two orders below and 2 cos(theta)."""
+    for j in range(count):
+        out[j] = double[j] * last[j] - before[j]
+
+
+@inlined
+def _add_wave(
+    by_cosine: float, by_sine: float, cosine: _Floats, sine: _Floats, out: _Floats, count: int
+) -> None:
+    """Add a wave to the samples."""
+    for j in range(count):
+        out[j] += by_cosine * cosine[j] + by_sine * sine[j]
+
+
+@inlined
+def _product(x: _Floats, y: _Floats, count: int) -> float:
+    """Return the sum of products, in four sums side by side: one alone would wait for itself at every step."""
+    s0, s1, s2, s3 = 0.0, 0.0, 0.0, 0.0
+    for j in range(0, count, _SIDE_BY_SIDE):
+        s0 += x[j] * y[j]
+        s1 += x[j + 1] * y[j + 1]
+        s2 += x[j + 2] * y[j + 2]
+        s3 += x[j + 3] * y[j + 3]
+    return (s0 + s1) + (s2 + s3)
+
+
+@lean
+def _move(motion: Motion, samples: Samples, count: int) -> None:
+    """Fill what the motion is at the phases of the samples."""
+    g, amplitude, b = motion
+    cosine, sine, gap, rate = samples.cosine, samples.sine, samples.gap, samples.rate
+    double = samples.share  # not in use yet
+    for j in range(count):
+        cosine[0, j], sine[0, j] = 1.0, 0.0
+        cosine[1, j], sine[1, j] = math.cos(samples.theta[j]), math.sin(samples.theta[j])
+        double[j] = 2.0 * cosine[1, j]
+        gap[j], rate[j] = g + amplitude * cosine[1, j], -amplitude * sine[1, j]
+    for n in range(2, cosine.shape[0]):
+        _next_order(double, cosine[n - 1], cosine[n - 2], cosine[n], count)
+        _next_order(double, sine[n - 1], sine[n - 2], sine[n], count)
+    for n in range(2, b.shape[0]):
+        _add_wave(b[n].real, -b[n].imag, cosine[n], sine[n], gap, count)
+        _add_wave(-n * b[n].imag, -n * b[n].real, cosine[n], sine[n], rate, count)
+
+
+@lean
+def force_harmonics_on(
+    motion: Motion,
+    lowest: float,
+    columns: Columns,
+    S: float,
+    F: float,
+    damping: float,
+    omega: float,
+    nodes: _Floats,
+    samples: Samples,
+    f: _Complex,
+) -> None:
+    """Fill the harmonics of the force on a motion whose closest gap is at the phase ``lowest``."""
+    contact = columns.contact
+    count = _place(motion, lowest, contact, nodes, samples)
+    _move(motion, samples, count)
+    p = columns.powers[0]
+    for j in range(count):
+        d = samples.gap[j]
+        force = 0.0
+        if samples.inside[j]:
+            depth = max(-d, 0.0)
+            if p == 1.5:
+                root = math.sqrt(depth)
+                force = S * depth * root - damping * root * omega * samples.rate[j]
+            else:
+                force = S * depth**p
+                if damping != 0.0:
+                    force -= damping * depth ** (p - 1.0) * omega * samples.rate[j]
+            for k in range(1, columns.powers.shape[0]):
+                force += S * columns.shares[k] * depth ** columns.powers[k]
+            if contact.tail != NO_ADHESION:
+                force -= F
+        else:
+            force = -F * tail_shape(contact.tail, max(d, 0.0), contact.a0)
+        samples.share[j] = force * samples.weight[j] / math.pi
+    for n in range(f.shape[0]):
+        f[n] = complex(
+            _product(samples.share, samples.cosine[n], count),
+            -_product(samples.share, samples.sine[n], count),
+        )
+    f[0] *= 0.5
+
+
+@lean
 def difference_of(
     A: float, x: _Floats, columns: Columns, followed: Followed, f_known: _Complex, room: Room
 ) -> None:
@@ -237,7 +286,7 @@ def difference_of(
     b holds the harmonics of the motion of the pass before; those that were measured stay.
     """
     tip, omega, known, nodes = followed
-    b, f, work, _ = room
+    b, f, work = room.b, room.f, room.work
     orders = b.shape[0]
     S = x[S_] if x[DELTA_] > 0.0 else 0.0
     c = x[C_] if x[DELTA_] > 0.0 else 0.0
@@ -253,9 +302,9 @@ def difference_of(
     b[0], b[1] = 0.0, 0.0
     motion = Motion(A - x[DELTA_], A, b)
     # the closest gap is that of the solution, whatever the harmonics add to it
-    lower = gap_at(bottom(motion), motion)[0]
-    motion = Motion(A - x[DELTA_] - (lower + x[DELTA_]), A, b)
-    force_harmonics_on(motion, columns, S, x[F_], damping, omega, nodes, f)
+    lowest = bottom(motion)
+    motion = Motion(A - x[DELTA_] - (gap_at(lowest, motion)[0] + x[DELTA_]), A, b)
+    force_harmonics_on(motion, lowest, columns, S, x[F_], damping, omega, nodes, room.samples, f)
     for n in range(2, orders):
         b[n] = tip[n] * f[n]
     for n in range(orders):
@@ -282,6 +331,7 @@ class Room(NamedTuple):
     f: _Complex
     work: _Floats
     x: _Floats
+    samples: Samples
 
 
 @inner
@@ -289,7 +339,11 @@ def new_room(followed: Followed) -> Room:
     """Return scratch for one thread."""
     size = followed.tip.shape[0]
     return Room(
-        np.zeros(size, np.complex128), np.zeros(size, np.complex128), np.zeros((6, size)), np.zeros(4)
+        np.zeros(size, np.complex128),
+        np.zeros(size, np.complex128),
+        np.zeros((6, size)),
+        np.zeros(4),
+        new_samples(max(size - 1, 0), followed.nodes.shape[1]),
     )
 
 
@@ -299,7 +353,7 @@ def _row(room: Room, order: int, lossy: bool) -> float:
     return -room.f[order].imag if lossy else room.f[order].real
 
 
-@inner
+@lean
 def difference_at(
     t: float, pixel: Pixel, followed: Followed, f_known: _Complex, s: Scratch, room: Room, out: _Floats
 ) -> None:
@@ -501,7 +555,7 @@ def settle(
             spread[i], chi2[i] = math.nan, math.nan
 
 
-@inner
+@lean
 def _rows_left(
     A: float,
     x: _Floats,

@@ -64,9 +64,10 @@ class Harmonics(NamedTuple):
 
 def in_rows(values: _Complex, rows: Rows) -> _Floats:
     """Return complex harmonics (pixel, harmonic, ...) as the rows of an inversion (pixel, row, ...)."""
-    chosen = values[:, rows.harmonics]
-    lossy = rows.lossy.reshape((1, -1) + (1,) * (chosen.ndim - 2))
-    return np.where(lossy, -chosen.imag, chosen.real)
+    out = np.empty((values.shape[0], rows.orders.size, *values.shape[2:]))
+    for r, (h, lossy) in enumerate(zip(rows.harmonics, rows.lossy, strict=True)):
+        out[:, r] = -values[:, h].imag if lossy else values[:, h].real
+    return out
 
 
 class Shared(NamedTuple):
@@ -187,7 +188,7 @@ class Setting:
             changes, of_radius = self.changes(self.shared, block, h.turn)
             of_noise, W = W, np.empty_like(W)
             row_block(f, np.concatenate([errors, changes], axis=-1), self.rows, y, W, usable)
-            along = np.einsum("pij,pjs,s->pi", W, in_rows(changes, self.rows), of_radius)
+            along = np.einsum("pij,pj->pi", W, in_rows(changes, self.rows) @ of_radius)
             # a residual says which way the shared errors went, and with them the radius
             pull = -exponent * along
             left = np.maximum(exponent**2 * ((of_radius**2).sum() - (along**2).sum(axis=1)), 0.0)

@@ -28,6 +28,7 @@ from overtone.inversion.histogram import (
     gauss_moments,
     smear,
     spread_over,
+    sum_steps,
 )
 from overtone.inversion.linear import Contact, sample_modulus, stiffness
 from overtone.inversion.motion import Followed, difference_at, gauss_rule, new_room
@@ -48,7 +49,7 @@ from overtone.inversion.valley import (
     solved,
     whiten,
 )
-from overtone.kernels import inner, kernel
+from overtone.kernels import inner, kernel, lean
 
 _Floats = npt.NDArray[np.float64]
 _Complex = npt.NDArray[np.complex128]
@@ -68,7 +69,7 @@ _WIDTH_ACROSS = 0.6
 _WIDTH_OF_A_PIECE, _MOST_PIECES = 1.5, 7  # of ln E, of Gauss's rule between two bends
 _BINS = 160
 _GAP_NODES = 61
-_NEGLIGIBLE = 1e-6
+_NEGLIGIBLE = 1e-4
 _PLACES = 3  # at which the difference that the harmonics of the motion make is found
 _BESIDE = 0.2
 _MOST_PASSES = 8
@@ -148,7 +149,7 @@ def new_grid() -> Grid:
     )
 
 
-@inner
+@lean
 def _across(
     m: Reduced,
     box: Box,
@@ -266,7 +267,7 @@ def posterior_pixels(
     grid = new_grid()
     bends, across = np.empty(5), np.empty((2, _WIDEST))
     along = np.empty(grid.t.shape[0])
-    histogram, work = np.empty(_BINS), np.empty(_BINS)
+    bins, work = np.empty((2, _BINS)), np.empty(_BINS)
     root_F = math.sqrt(prior.adhesion_precision)
     if root_F > 0.0:
         s.wb[rows], s.first[rows] = root_F, root_F * prior.adhesion_mean
@@ -459,7 +460,7 @@ def posterior_pixels(
                 log_prior_F,
                 s,
                 quantiles[i],
-                histogram,
+                bins,
                 whole,
             )
             reference = min(least, least_apart)
@@ -518,7 +519,8 @@ def posterior_pixels(
             if not width > 0.0:
                 quantiles[i, q] = low
                 continue
-            histogram[:] = 0.0
+            fineness = 1.0 / width
+            bins[:] = 0.0
             for j in range(nodes):
                 same = grid.members[j]
                 ahead = j + 1 < nodes and grid.members[j + 1] == same
@@ -542,7 +544,7 @@ def posterior_pixels(
                     if half == 0.0 and k + 1 < same:
                         half = 0.5 * abs(values[j, k + 1] - middle)
                     if q == MODULUS_:
-                        spread_over(histogram, low, width, middle - half, middle + half, weight)
+                        spread_over(bins, low, fineness, middle - half, middle + half, weight)
                         continue
                     factor_q = 1.0
                     if q == ADHESION_:
@@ -558,8 +560,9 @@ def posterior_pixels(
                         middle, half, sigma = factor_q * middle, factor_q * half, factor_q * sigma
                         most_q = factor_q * most_q if q == LOSS_ else prior.tangent_high
                     add_gaussian(
-                        histogram, low, width, middle, half, sigma, least_q, most_q, q == LOSS_, weight
+                        bins, low, fineness, middle, half, sigma, least_q, most_q, q == LOSS_, weight
                     )
+            histogram = sum_steps(bins)
             of_radius = variance_E if q == MODULUS_ else variance_R if q == LOSS_ else 0.0
             if of_radius > (0.3 * width) ** 2:
                 smear(histogram, math.sqrt(of_radius) / width, work)
@@ -590,7 +593,7 @@ def _out_of_contact(
     log_prior_F: float,
     s: Scratch,
     quantiles: _Floats,
-    histogram: _Floats,
+    bins: _Floats,
     whole: bool,
 ) -> tuple[float, float]:
     """Sum over the gap where the tip stays out of contact; return the sum over exp(-chi2/2) and chi-squared.
@@ -659,16 +662,16 @@ def _out_of_contact(
         total += weights[k]
         F_low, F_high = min(F_low, F[k] - 4.0 * spread[k]), max(F_high, F[k] + 4.0 * spread[k])
     if whole and total > 0.0:
-        histogram[:] = 0.0
+        bins[:] = 0.0
         F_low, F_high = max(F_low, prior.adhesion_low), min(F_high, prior.adhesion_high)
         width = (F_high - F_low) / _BINS
         below, level = 0.0, LEVELS.shape[0] - 1
         for k in range(n):
             half = 0.5 * abs(F[min(k + 1, n - 1)] - F[max(k - 1, 0)]) * (0.5 if 0 < k < n - 1 else 1.0)
             add_gaussian(
-                histogram,
+                bins,
                 F_low,
-                width,
+                1.0 / width,
                 F[k],
                 half,
                 spread[k],
@@ -685,5 +688,5 @@ def _out_of_contact(
                 level -= 1
             below = above
         if width > 0.0:
-            fill_quantiles(histogram, F_low, width, quantiles[ADHESION_])
+            fill_quantiles(sum_steps(bins), F_low, width, quantiles[ADHESION_])
     return total, best

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from overtone.inversion.columns import Columns, adhesive
 from overtone.inversion.table import NODES, SHALLOWEST, STEP, Table, elastic_scale
 from overtone.inversion.valley import Box, Scratch, reduce, solved, tabulated_columns
-from overtone.kernels import inlined, inner
+from overtone.kernels import inlined, inner, lean
 
 _Floats = npt.NDArray[np.float64]
 _Orders = npt.NDArray[np.int64]
@@ -47,7 +47,7 @@ class Pixel(NamedTuple):
     box: Box
 
 
-@inlined
+@inner
 def pixel_at(
     columns: Columns,
     amplitude: float,
@@ -80,7 +80,7 @@ def bounded_at(pixel: Pixel, t: float, s: Scratch) -> float:
     return solved(reduce(s, pixel.sticky, pixel.loss), s, pixel.sticky, pixel.box)[0]
 
 
-@inner
+@lean
 def lowest_between(pixel: Pixel, low: float, high: float, width: float, s: Scratch) -> tuple[float, float]:
     """Return where the least chi-squared within bounds is smallest between two t, by golden section, and its size.
 
@@ -111,7 +111,7 @@ def lowest_between(pixel: Pixel, low: float, high: float, width: float, s: Scrat
     return (x1, f1) if f1 < f2 else (x2, f2)
 
 
-@inner
+@lean
 def scan_valley(pixel: Pixel, stride: int, bounded: _Floats, s: Scratch) -> int:
     """Fill the least chi-squared within bounds at every ``stride`` nodes of the table; return where it is least."""
     least = 0

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from overtone.inversion.search import Pixel, bounded_at, lowest_between, scan_valley
 from overtone.inversion.table import NODES, SHALLOWEST, STEP
 from overtone.inversion.valley import Scratch
-from overtone.kernels import inner
+from overtone.kernels import inner, lean
 
 _Floats = npt.NDArray[np.float64]
 
@@ -24,7 +24,7 @@ _CORE = 9.0  # of chi-squared, within which a minimum has its core
 _NARROW_CORE = 0.4  # of its stretch
 
 
-@inner
+@lean
 def _edge(
     pixel: Pixel,
     s: Scratch,
@@ -138,7 +138,7 @@ def find_stretches(
     return count, least, deepest_at
 
 
-@inner
+@lean
 def partition(ends: _Floats, cores: _Floats, count: int, parts: _Floats) -> int:
     """Fill the stretches, those with a narrow core in three parts; return how many there are.
 

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from overtone.inversion.columns import WORK_ROWS, Columns, fill_columns
-from overtone.kernels import inlined, inner, kernel
+from overtone.kernels import inlined, kernel, lean
 
 _Floats = npt.NDArray[np.float64]
 
@@ -88,7 +88,7 @@ def table_of(columns: Columns, amplitude: npt.NDArray[np.float64], n_max: int) -
     return Table(elastic, adhesion, slots, int(steps[0]), float(columns.powers[0]))
 
 
-@inner
+@lean
 def locate(table: Table, amplitude: float) -> tuple[int, float]:
     """Return where an amplitude stands in a table, and how far it is to the next one; -1 where it does not."""
     if not amplitude > 0.0:

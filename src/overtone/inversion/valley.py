@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from overtone.inversion.columns import Columns, fill_columns
 from overtone.inversion.table import Table, interpolate
-from overtone.kernels import inlined, inner
+from overtone.kernels import inlined, inner, lean
 
 _Floats = npt.NDArray[np.float64]
 
@@ -95,7 +95,7 @@ def new_scratch(rows: int, n_max: int, places: int) -> Scratch:
     )
 
 
-@inner
+@lean
 def set_places(s: Scratch, low: float, high: float) -> None:
     """Set the places between two t: Chebyshev points, between which a polynomial interpolates without waves."""
     count = s.places.shape[0]
@@ -172,7 +172,7 @@ def tabulated_columns(
     return Delta
 
 
-@inner
+@lean
 def exact_columns(
     columns: Columns,
     amplitude: float,
@@ -298,7 +298,7 @@ def solved(m: Reduced, s: Scratch, sticky: bool, box: Box) -> tuple[float, Reduc
     return chi2_at(m, S, box), m, S
 
 
-@inner
+@lean
 def physical(m: Reduced) -> bool:
     """Return whether the solution without bounds is one that a sample can have."""
     F = m.F0 + m.F1 * m.S

@@ -55,9 +55,8 @@ def harvest(settings: Sequence[Setting]) -> Harvest:
         usable &= h.usable & np.isfinite(y).all(axis=1)
         ys.append(y)
         amplitudes.append(h.amplitude)
-        parts = in_rows(h.errors, setting.rows)
         known = np.flatnonzero(h.usable & np.isfinite(y).all(axis=1))
-        some = parts[known[:: max(1, known.size // 2000)]]
+        some = in_rows(h.errors[known[:: max(1, known.size // 2000)]], setting.rows)
         noises.append(
             np.einsum("prs,pqs->rq", some, some) / max(len(some), 1) if known.size else np.eye(y.shape[1])
         )

@@ -19,7 +19,7 @@ from overtone.inversion.linear import stiffness
 from overtone.inversion.motion import Followed, Room, difference_of, new_room
 from overtone.inversion.posterior import Prior
 from overtone.inversion.table import DEEPEST, SHALLOWEST
-from overtone.kernels import inner, kernel
+from overtone.kernels import inner, kernel, lean
 
 _Floats = npt.NDArray[np.float64]
 _Complex = npt.NDArray[np.complex128]
@@ -31,7 +31,8 @@ of each scan. What a model lacks stays as it is."""
 BY_MODULUS = 3
 """Where the derivative by ln E stands among those of a row."""
 
-_PASSES, _TO_REST = 2, 6  # of the motion, from one at rest beside it, and from any
+_PASSES, _TO_REST = 2, 6  # of the motion, from one at rest beside it, and from any at most
+_AT_REST = 1e-8  # units of force: a millionth of that in a slope
 _NUDGES = 0.01  # steps of a derivative
 _OPEN = 0.2
 """Curvature of ln of what may vanish, at least: no step is longer than a factor of e or two."""
@@ -68,7 +69,7 @@ class Scene(NamedTuple):
     """Whether the prior of adhesion is one of its logarithm: mean and precision are then those of ln F_ad."""
 
 
-@inner
+@lean
 def rows_of_material(
     scene: Scene, k: int, scan: int, x: float, v: _Floats, room: Room, work: _Floats, f: _Floats, J: _Floats
 ) -> None:
@@ -190,7 +191,7 @@ def all_rows(scene: Scene, x: _Floats, v: _Floats, desk: Desk) -> None:
         desk.J_x[materials * scans * rows + j, scene.references[j]] = 1.0
 
 
-@inner
+@lean
 def _of_the_motion(scene: Scene, desk: Desk, d: _Floats) -> None:
     """Fill what the harmonics of the motion add to the rows, as the room holds it from the last time."""
     for r in range(scene.orders.shape[0]):
@@ -210,15 +211,25 @@ def correct_slopes(scene: Scene, k: int, x: float, v: _Floats, desk: Desk) -> No
         return
     here, there = np.empty(rows), np.empty(rows)
     f, at = np.empty(rows), v.copy()
+    sticky, loss = adhesive(scene.columns), scene.columns.loss > 0.0
     for s in range(scans):
         start = (k * scans + s) * rows
         desk.room.b[:] = desk.motions[k, s]
         # what is left of a motion that is not at rest would count as a slope
+        here[:] = math.inf
         for _ in range(_TO_REST):
             rows_of_material(scene, k, s, x, v, desk.room, desk.work, f, desk.part)
+            _of_the_motion(scene, desk, there)
+            moved = 0.0
+            for r in range(rows):
+                moved = max(moved, abs(there[r] - here[r]))
+                here[r] = there[r]
+            if moved < _AT_REST:
+                break
         desk.motions[k, s] = desk.room.b
-        _of_the_motion(scene, desk, here)
         for p in range(4):
+            if (p == ADHESION and not sticky) or (p == TANGENT and not loss):
+                continue
             at[:] = v
             x_there, step = x, _NUDGES
             if p == BY_MODULUS:
@@ -236,7 +247,7 @@ def correct_slopes(scene: Scene, k: int, x: float, v: _Floats, desk: Desk) -> No
                 desk.E[start + r, p] = slope if math.isfinite(slope) else 0.0
 
 
-@inner
+@lean
 def misfit(scene: Scene, f: _Floats) -> float:
     """Return half of the chi-squared of all harmonics."""
     size = f.shape[0]
@@ -249,7 +260,7 @@ def misfit(scene: Scene, f: _Floats) -> float:
     return total
 
 
-@inner
+@lean
 def log_prior(scene: Scene, prior: Prior, sticky: bool, loss: bool, x: _Floats, v: _Floats) -> float:
     """Return ln of the prior density of (ln E, v), but for a constant and for bounds."""
     total = 0.0
@@ -269,7 +280,7 @@ def log_prior(scene: Scene, prior: Prior, sticky: bool, loss: bool, x: _Floats, 
     return total
 
 
-@inner
+@lean
 def inside(scene: Scene, prior: Prior, sticky: bool, loss: bool, x: _Floats, v: _Floats) -> bool:
     """Tell whether all unknowns are within the bounds of their priors."""
     fine = True
@@ -285,7 +296,7 @@ def inside(scene: Scene, prior: Prior, sticky: bool, loss: bool, x: _Floats, v: 
     return fine
 
 
-@inner
+@lean
 def bounds(scene: Scene, prior: Prior, sticky: bool, loss: bool, low: _Floats, high: _Floats) -> None:
     """Fill where unknowns may lie, a little inside of the bounds of their priors; in the order of `add_priors`."""
     materials, scans = scene.amplitude.shape
@@ -305,7 +316,7 @@ def bounds(scene: Scene, prior: Prior, sticky: bool, loss: bool, low: _Floats, h
         high[materials * each + k] = prior.log_high - _BESIDE
 
 
-@inner
+@lean
 def add_priors(
     scene: Scene, prior: Prior, sticky: bool, loss: bool, x: _Floats, v: _Floats, g: _Floats, P: _Floats
 ) -> None:
@@ -341,7 +352,7 @@ def add_priors(
         P[materials * each + k] = prior.precision + 12.0 / (prior.log_high - prior.log_low) ** 2
 
 
-@inner
+@lean
 def cholesky(H: _Floats) -> bool:
     """Replace a positive matrix by its lower factor; return False where it is none."""
     m = H.shape[0]
@@ -361,7 +372,7 @@ def cholesky(H: _Floats) -> bool:
     return True
 
 
-@inner
+@lean
 def _hold_back(a: int, here: float, low: _Floats, high: _Floats, H: _Floats, g: _Floats) -> None:
     """Take an unknown out of a step that a bound holds back."""
     if (here <= low[a] and g[a] < 0.0) or (here >= high[a] and g[a] > 0.0):

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from overtone.inversion.table import DEEPEST, SHALLOWEST
-from overtone.kernels import inner, kernel
+from overtone.kernels import kernel, lean
 from overtone.population.forward import (
     ADHESION,
     FIRST_DEPTH,
@@ -34,7 +34,7 @@ _CLOSE = 1e-10
 _LONGEST = 0.3
 
 
-@inner
+@lean
 def _drive(scene: Scene, f: _Floats, first: _Floats, still: complex) -> float:
     """Return the squared force of the drive that balances the first harmonic [unit^2]."""
     cons, diss = 0.0, -still.imag
@@ -48,7 +48,7 @@ def _drive(scene: Scene, f: _Floats, first: _Floats, still: complex) -> float:
     return float((first[0] - cons) ** 2 + (first[1] + diss) ** 2)
 
 
-@inner
+@lean
 def _held(
     scene: Scene,
     k: int,

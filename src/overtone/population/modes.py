@@ -72,7 +72,8 @@ def modes_of(points: _Floats, fewest: int) -> Modes:
         return i
 
     for i in range(count):
-        found = sorted({find(j) for j in links[i] if j < i})
+        # most neighbours have one root: it is looked for once
+        found = sorted({find(j) for j in {root[j] for j in links[i] if j < i}})
         if not found:
             continue
         top = found[0]

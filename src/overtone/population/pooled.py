@@ -50,15 +50,16 @@ class Mixture(NamedTuple):
 
 
 @inlined
-def _below(x: float) -> float:
-    """Return the normal distribution, from a table."""
+def _below(x: float) -> tuple[float, float]:
+    """Return the normal distribution, from a table, and its slope."""
     place = (x + _REACH) * _FINENESS
     if place <= 0.0:
-        return 0.0
+        return 0.0, 0.0
     k = int(place)
     if k >= _NORMAL.shape[0] - 1:
-        return 1.0
-    return float(_NORMAL[k] + (place - k) * (_NORMAL[k + 1] - _NORMAL[k]))
+        return 1.0, 0.0
+    step = _NORMAL[k + 1] - _NORMAL[k]
+    return _NORMAL[k] + (place - k) * step, _FINENESS * step
 
 
 @kernel
@@ -85,8 +86,10 @@ def pool(
     draws, data = mixture.f.shape
     quantities = mixture.base.shape[1]
     properties = mixture.gain.shape[1]
-    middles = np.empty((quantities, draws))
+    middles, per_spread = np.empty((quantities, draws)), 1.0 / mixture.spread.T
+    of_one = np.searchsorted(_NORMAL, levels) / _FINENESS - _REACH  # quantiles of a normal distribution
     rest, straight, theta = np.empty(data), np.empty(data), np.empty(properties)
+    squares = np.empty((3, 3))
     for i in range(y.shape[0]):
         for s in range(draws):
             for r in range(data):
@@ -104,11 +107,14 @@ def pool(
                 if bend == _BENDS - 1:
                     break
                 # what the curve of the harmonics adds to the straight line
+                for a in range(3):
+                    for b in range(3):
+                        squares[a, b] = 0.5 * theta[a] * theta[b]
                 for r in range(data):
                     added = 0.0
                     for a in range(3):
                         for b in range(3):
-                            added += 0.5 * mixture.curvature[s, r, a, b] * theta[a] * theta[b]
+                            added += mixture.curvature[s, r, a, b] * squares[a, b]
                     straight[r] = rest[r] - added
             for q in range(quantities):
                 m = mixture.base[s, q]
@@ -130,22 +136,24 @@ def pool(
                 continue
             for level in range(levels.shape[0]):
                 low, high = mean - 6.0 * sd, mean + 6.0 * sd
-                # false position, with a bisection where it creeps
-                at_low, at_high = -levels[level], 1.0 - levels[level]
-                x = mean
                 if level > 0:
                     low = quantiles[i, q, level - 1]
-                    at_low = levels[level - 1] - levels[level]
-                for step in range(_HALVINGS):
-                    x = low + (high - low) * at_low / (at_low - at_high) if step % 3 else 0.5 * (low + high)
-                    total = 0.0
+                # Newton's method from where a normal distribution has it, and bisection where that leads out
+                x = mean + of_one[level] * sd
+                for _ in range(_HALVINGS):
+                    if not low < x < high:
+                        x = 0.5 * (low + high)
+                    below, slope = 0.0, 0.0
                     for s in range(draws):
-                        total += _below((x - middle[s]) / mixture.spread[s, q])
-                    off = total / draws - levels[level]
+                        part, rise = _below((x - middle[s]) * per_spread[q, s])
+                        below += part
+                        slope += rise * per_spread[q, s]
+                    off = below / draws - levels[level]
                     if off < 0.0:
-                        low, at_low = x, off
+                        low = x
                     else:
-                        high, at_high = x, off
+                        high = x
                     if abs(off) < _CLOSE or high - low < _CLOSE * sd:
                         break
+                    x = x - off * draws / slope if slope > 0.0 else math.nan
                 quantiles[i, q, level] = x

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from overtone.inversion.posterior import Prior
-from overtone.kernels import inner, kernel
+from overtone.kernels import inner, kernel, lean
 from overtone.population.forward import (
     Desk,
     Scene,
@@ -150,7 +150,7 @@ def _copy(state: State, other: State) -> None:
     other.L[:], other.g[:], other.motions[:] = state.L, state.g, state.motions
 
 
-@inner
+@lean
 def _spread_out(u: _Floats, x: _Floats, v: _Floats) -> None:
     """Fill ln E and v from the unknowns in one row."""
     materials, each = v.shape
@@ -198,7 +198,7 @@ def _look(
     return value
 
 
-@inner
+@lean
 def _solve(L: _Floats, b: _Floats, out: _Floats) -> None:
     """Fill the solution of L L' out = b."""
     n = b.shape[0]
@@ -214,7 +214,7 @@ def _solve(L: _Floats, b: _Floats, out: _Floats) -> None:
         out[a] = total / L[a, a]
 
 
-@inner
+@lean
 def _squared(L: _Floats, step: _Floats) -> float:
     """Return the squared length of a step in the metric L L'."""
     n = step.shape[0]
