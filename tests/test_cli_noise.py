@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from overtone.cli.noise import NoiseRequest, noise_request, resolve_noise
-from overtone.cli.options import parse_noise
+from overtone.batch.noise import NoiseRequest, noise_request, resolve_noise
 from overtone.errors import OvertoneError, UnitError
 from overtone.instrument.noise import add_noise, noise_from_pair
 from overtone.instrument.noise_sources import noise_from_bandwidth, noise_from_scan
@@ -99,9 +98,9 @@ def test_units_are_asked_for(text: str, said: str) -> None:
 
 
 def test_values_alone_are_read_as_before() -> None:
-    assert parse_noise(["A0=5 pm", "A2=1 pm"]) == {"A0": 5e-12, "A2": 1e-12}
+    assert noise_request(["A0=5 pm", "A2=1 pm"]).stated == {"A0": 5e-12, "A2": 1e-12}
     with pytest.raises(OvertoneError, match=r"height_noise is not an observable.*scatter"):
-        parse_noise(["height_noise=1 nm"])
+        noise_request(["height_noise=1 nm"])
 
 
 # --- where the noise comes from -------------------------------------------------------------------

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from overtone.batch.sample import read_plane
 from overtone.cli import main
-from overtone.cli.population import read_plane
 from overtone.contact.sample import sample
 from overtone.demo import demo_probe, virtual_scan
 from overtone.dynamics.hold import hold_amplitude

@@ -1,3 +1,4 @@
+import dataclasses
 import math
 import warnings
 from collections.abc import Callable
@@ -7,6 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
+import overtone as ot
 from overtone import provenance
 from overtone.demo import demo_probe, virtual_scan
 from overtone.errors import (
@@ -20,11 +22,14 @@ from overtone.errors import (
     UncalibratedWarning,
 )
 from overtone.harmonics import far_phase
+from overtone.instrument.calibration import Calibration, format_calibration
+from overtone.instrument.unknowns import NEUTRAL
 from overtone.inversion.properties import NOT_DETERMINED, map_energy, map_properties
 from overtone.io.netcdf import save
 from overtone.io.observables import missing_for_modulus, open_scan
 from overtone.probe import Cantilever, Detector, Drive, Mode, Probe
-from overtone.readings import probe_of, reading_of
+from overtone.quantities import named_array
+from overtone.readings import Reading, probe_of, reading_of, with_reading
 
 SNOM = "neasnom/SnO2_NW4_hyp"
 
@@ -584,3 +589,34 @@ def test_a_clipped_layer_of_a_real_scan(afm_data: Path, tmp_path: Path) -> None:
     content[384 + 4 * size : 384 + 8 * size] = np.minimum(amplitude, np.quantile(amplitude, 0.95)).tobytes()
     (tmp_path / "clipped.ibw").write_bytes(bytes(content))
     assert "A1 (Amplitude) is saturated: 5 % of its pixels" in said(quietly(tmp_path / "clipped.ibw"))
+
+
+def test_what_a_correction_left_open_is_saved_with_the_scan(tmp_path):
+    probe = demo_probe()
+    left = Calibration(
+        probe,
+        probe.drive.free_amplitude,
+        dict(NEUTRAL),
+        ("A0_offset", "stiffness"),
+        np.diag([1e-24, 0.05**2]),
+    )
+    values = {"A0": 1e-12, "A1": 40e-9, "phi1": 1.2, "A2": 1e-10, "phi2": 2.0}
+    scan = xr.Dataset({n: named_array(n, np.full((3, 4), v), ("y", "x")) for n, v in values.items()})
+    flags = np.zeros((3, 4), np.int8)
+    flags[0, 1] = 1
+    scan = scan.assign(reference=named_array("reference", flags, ("y", "x")))
+    scan = with_reading(scan, Reading(probe, corrected=True)).assign_attrs(
+        calibration=format_calibration(left)
+    )
+    path = tmp_path / "corrected.nc"
+    ot.save(scan, path)
+    opened = ot.open_scan(path)
+    assert opened.attrs["calibration"] == scan.attrs["calibration"]
+    assert opened["reference"].dtype.kind == "i"
+    np.testing.assert_array_equal(opened["reference"], flags)
+    # it is that of its own probe and no other
+    other = dataclasses.replace(probe, tip=dataclasses.replace(probe.tip, radius=33e-9))
+    assert "calibration" not in ot.open_scan(path, probe=other).attrs
+    ot.save(with_reading(scan, Reading(probe, corrected=False)), path)
+    with pytest.warns(OvertoneWarning):
+        assert "calibration" not in ot.open_scan(path).attrs

@@ -106,6 +106,15 @@ def test_a_modulus_without_an_interval_has_the_linearised_one(synthetic):
     assert linearised_interval(synthetic.exact(), "adhesion") is None
 
 
+def test_an_interval_of_a_huge_uncertainty_is_open():
+    cells = xr.DataArray([1e9, 2e9], dims="x")
+    result = xr.Dataset({"modulus": cells, "uncertainty": cells * 0 + 1e6, "status": cells * 0})
+    interval = linearised_interval(result, "modulus")
+    assert interval is not None
+    np.testing.assert_array_equal(interval.lower, 0.0)
+    np.testing.assert_array_equal(interval.upper, np.inf)
+
+
 @pytest.mark.parametrize(
     ("lower", "upper", "unit", "text"),
     [

@@ -14,6 +14,7 @@ import xarray as xr
 
 from overtone.batch.inputs import Stamp
 from overtone.batch.mapping import merged, properties_of
+from overtone.batch.noise import resolve_noise
 from overtone.batch.opened import reading_arguments, with_radius
 from overtone.batch.settings import Settings, noise_of
 from overtone.errors import ObservablesError, OvertoneError
@@ -106,7 +107,6 @@ def observables_in(dataset: xr.Dataset, file: Path, settings: Settings, *, known
 def planned(file: Path, stamp: Stamp, folder: Path, settings: Settings) -> tuple[Plan, xr.Dataset]:
     """Return the plan of a map, and the map of one pixel, which says what every other will hold."""
     from overtone import provenance
-    from overtone.cli.noise import resolve_noise
     from overtone.inversion.properties import map_energy
     from overtone.readings import probe_of
 

@@ -65,7 +65,7 @@ def create(folder: Path, template: xr.Dataset, source: xr.Dataset, dims: Sequenc
     from zarr.codecs import ZstdCodec
 
     from overtone.io.attributes import storable_attributes
-    from overtone.io.zarr_store import _ORDER
+    from overtone.io.zarr_store import ORDER
 
     shutil.rmtree(folder / _MAPS, ignore_errors=True)
     root: Any = zarr.create_group(folder / _MAPS, zarr_format=3)
@@ -86,7 +86,7 @@ def create(folder: Path, template: xr.Dataset, source: xr.Dataset, dims: Sequenc
         if not set(array.dims) & set(dims) or name in source.coords:
             stored[...] = coordinate
     root.attrs.update(_plain(storable_attributes(template.attrs)))
-    root.attrs[_ORDER] = json.dumps([str(name) for name in template.data_vars])
+    root.attrs[ORDER] = json.dumps([str(name) for name in template.data_vars])
     (folder / _DONE).mkdir()  # what says that all of this is there
 
 

@@ -8,7 +8,9 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from overtone.batch.noise import resolve_noise
 from overtone.batch.opened import both_ways, first_of, opened
+from overtone.batch.sample import Sample, arguments_of, check_scan, no_calibration
 from overtone.batch.settings import POPULATION, Settings, check_settings, noise_of
 from overtone.errors import InversionError, OvertoneError
 
@@ -101,7 +103,6 @@ def map_observables(
         As of `map_scans`.
     """
     from overtone import provenance
-    from overtone.cli.noise import resolve_noise
     from overtone.inversion.properties import map_energy
     from overtone.readings import probe_of
 
@@ -192,7 +193,6 @@ def properties_of(
     OvertoneError
         If a modulus was asked for that these observables or settings do not allow.
     """
-    from overtone.cli.population import Sample, arguments_of, check_scan, no_calibration
     from overtone.inversion.properties import map_properties, undetermined_properties
     from overtone.inversion.validity import with_validity
     from overtone.io.observables import missing_for_modulus

@@ -92,7 +92,7 @@ def is_whole(path: Path) -> bool:
     if path.suffix.lower() == ".zarr":
         return (path / "zarr.json").is_file()
     try:
-        netcdf._check_seal(path)
+        netcdf.check_seal(path)
         return netcdf.is_sealed(path)
     except (OSError, FileFormatError):
         return False
@@ -155,7 +155,7 @@ def belongs_to(path: Path, file: Path) -> bool:
 
 def _is_readable(path: Path) -> bool:
     """Tell whether something that holds no record is of another origin, rather than a damaged result."""
-    if path.is_dir() or (path.stat().st_size and not path.read_bytes().startswith(netcdf._HDF5)):
+    if path.is_dir() or (path.stat().st_size and not path.read_bytes().startswith(netcdf.HDF5)):
         return True
     try:
         netcdf.load(path)

@@ -9,10 +9,10 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from overtone.batch.noise import NoiseRequest, noise_request
 from overtone.errors import OvertoneError
 
 if TYPE_CHECKING:
-    from overtone.cli.noise import NoiseRequest
     from overtone.probe import Probe
 
 POPULATION = "population"
@@ -195,7 +195,6 @@ def noise_of(settings: Settings) -> NoiseRequest:
     OvertoneError
         If it is not understood.
     """
-    from overtone.cli.noise import NoiseRequest, noise_request
     from overtone.instrument.noise import complete_noise
 
     noise = settings.noise

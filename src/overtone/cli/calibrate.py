@@ -9,7 +9,7 @@ from cyclopts import Parameter
 from rich.console import Console
 from rich.markup import escape
 
-from overtone.cli.options import ScanOptions, reading_arguments, with_radius
+from overtone.cli.options import ScanOptions, radius_of, reading_arguments
 from overtone.errors import CalibrationError, OvertoneError
 from overtone.units import parse_quantity
 
@@ -62,6 +62,7 @@ def calibrate_curve(
     scan : ScanOptions
         How the files are to be read.
     """
+    from overtone.batch.opened import with_radius
     from overtone.instrument.calibrate import calibrate
     from overtone.instrument.calibration import save_calibration
     from overtone.io.atomic import atomic_path
@@ -78,7 +79,7 @@ def calibrate_curve(
             f"{output.name} is no name for a calibration", expected="a name that ends in .toml or .json"
         )
     raw = with_radius(
-        open_curve(file, direction=scan.direction or "approach", **reading_arguments(scan)), scan.radius
+        open_curve(file, direction=scan.direction or "approach", **reading_arguments(scan)), radius_of(scan)
     )
     ladder = open_ladder(far_field, phase_sign=scan.phase_sign) if far_field else None
     probe = _probe(raw)

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 from rich.console import Console
 
+from overtone.batch.noise import noise_request
 from overtone.cli.batch import BatchOptions, check_batch, map_batch, summary_line
-from overtone.cli.noise import noise_request
-from overtone.cli.options import ScanOptions, parse_rectangle, reading_arguments
+from overtone.cli.options import ScanOptions, parse_rectangle, radius_of, reading_arguments
 from overtone.cli.population import PopulationOptions, sample_of
 from overtone.cli.priors import parse_priors
 from overtone.cli.progress import progress_bar
@@ -157,10 +157,15 @@ def _reading(scan: ScanOptions, calibration: Path | None, reference_area: str | 
     """Return settings of how a scan is read and corrected."""
     from overtone.batch.settings import Settings
 
-    radius = parse_quantity(scan.radius, "m", "--radius") if scan.radius else None
+    if reference_area is not None and calibration is None:  # "auto" by itself asks for nothing
+        raise OvertoneError(
+            "--reference-area corrects a scan",
+            expected="a calibration",
+            hint="--calibration calibration.toml",
+        )
     return Settings(
         **reading_arguments(scan),
-        radius=radius,
+        radius=radius_of(scan),
         direction=scan.direction,
         frame=scan.frame,
         calibration=calibration,

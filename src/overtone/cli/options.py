@@ -238,6 +238,7 @@ def open_with(
 
     ``probe`` stands in where the options name none; ``lift`` and ``keep_offset`` are those of `open_scan`.
     """
+    from overtone.batch.opened import with_radius
     from overtone.io.observables import open_scan
 
     arguments = reading_arguments(options)
@@ -250,35 +251,9 @@ def open_with(
         keep_offset=keep_offset,
         **arguments,
     )
-    return with_radius(observables, options.radius)
+    return with_radius(observables, radius_of(options))
 
 
-def with_radius(observables: Any, text: str | None) -> Any:
-    """Return observables whose probe has the tip radius of a text such as "10 nm"."""
-    from dataclasses import replace
-
-    from overtone.readings import reading_of, with_reading
-
-    reading = reading_of(observables)
-    if not text or reading is None:
-        return observables
-    tip = replace(reading.probe.tip, radius=parse_quantity(text, "m", "--radius"))
-    return with_reading(observables, replace(reading, probe=replace(reading.probe, tip=tip)))
-
-
-_NOISE = 'A0="5 pm", scatter, pair, or "bandwidth=500 Hz, detector=50 fm/rtHz"'
-
-
-def parse_noise(texts: Sequence[str]) -> dict[str, float]:
-    """Return --noise A0="5 pm" options in SI units; sources of noise are read by `overtone.cli.noise`."""
-    from overtone.quantities import quantity
-
-    noise = {}
-    for name, text in parse_pairs(texts, "--noise").items():
-        record = quantity(name)
-        if record is None or record.kind != "observable":
-            raise OvertoneError(
-                f"--noise {name} is not an observable", expected="A0, A1, phi1, A2, ...", hint=_NOISE
-            )
-        noise[name] = parse_quantity(text, record.unit, f"--noise {name}")
-    return noise
+def radius_of(options: ScanOptions) -> float | None:
+    """Return the tip radius [m] that the options give, None where they give none."""
+    return parse_quantity(options.radius, "m", "--radius") if options.radius else None

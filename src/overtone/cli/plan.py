@@ -194,7 +194,7 @@ def _noise(
     import numpy as np
     import xarray as xr
 
-    from overtone.cli.noise import PAIR, SCATTER, noise_request, resolve_noise
+    from overtone.batch.noise import PAIR, SCATTER, noise_request, resolve_noise
 
     request = noise_request(texts)
     if request.source in (SCATTER, PAIR):

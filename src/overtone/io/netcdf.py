@@ -20,7 +20,8 @@ from overtone.io.recording import Channel, Fact, Recording
 from overtone.io.si import to_si
 from overtone.quantities import LIFT
 
-_HDF5 = b"\x89HDF\r\n\x1a\n"
+HDF5 = b"\x89HDF\r\n\x1a\n"
+"""How netCDF 4 begins, and every other HDF5 file."""
 _CLASSIC = b"CDF"
 # A file that overtone saves ends with this line and the digest of all that stands before it. HDF5
 # ignores what follows its own end and cuts it off when another program changes the file.
@@ -28,6 +29,8 @@ _SEAL = b"\novertone blake2b "
 _DIGEST_SIZE = 32
 _AXES = {"y": "m", "x": "m", "z": "m", "time": "s"}
 _KNOWN_DIMS = {*_AXES, "setpoint", "scan", "point"}
+REFERENCE = "reference"
+"""Flags of the pixels that a correction was anchored to: whole numbers, and a channel all the same."""
 _DIRECTIONS = ("trace", "retrace", "approach", "retract")
 # Deflate cannot shrink data more than this; whoever claims more has a damaged header.
 _LARGEST_RATIO = 1100
@@ -36,7 +39,7 @@ _SLACK = 1 << 22
 
 def sniff(path: Path, head: bytes) -> bool:
     """Tell whether the file begins like netCDF 4, which is HDF5, or like classic netCDF."""
-    return head.startswith((_HDF5, _CLASSIC))
+    return head.startswith((HDF5, _CLASSIC))
 
 
 def save(dataset: xr.Dataset, path: str | Path) -> None:
@@ -192,7 +195,10 @@ def recording_of(path: Path, dataset: xr.Dataset, form: str) -> Recording:
     usable = [
         (name, array, direction)
         for name, array, direction in parts
-        if array.dtype.kind == "f" and array.ndim > 0 and array.size > 0 and set(array.dims) <= _KNOWN_DIMS
+        if (array.dtype.kind == "f" or (name == REFERENCE and array.dtype.kind in "iu"))
+        and array.ndim > 0
+        and array.size > 0
+        and set(array.dims) <= _KNOWN_DIMS
     ]
     if not usable:
         raise FileFormatError(
@@ -242,7 +248,7 @@ def _load(path: Path, head: bytes) -> xr.Dataset:
             hint="convert it with: nccopy -k nc4 old.nc new.nc",
         )
     with _reading(path):
-        sealed = _check_seal(path)
+        sealed = check_seal(path)
     if not sealed:  # nothing tells damage from data, and some damage HDF5 never returns from
         hdf5_guard.check(path, f"{__name__}:{_unguarded.__name__}")
     return _unguarded(path)
@@ -288,8 +294,14 @@ def _seal(path: Path) -> tuple[int, bytes] | None:
     return (size, end.removeprefix(_SEAL)) if end.startswith(_SEAL) else None
 
 
-def _check_seal(path: Path) -> bool:
-    """Tell whether a file is sealed; refuse one that has changed, before HDF5, which damage can send astray."""
+def check_seal(path: Path) -> bool:
+    """Tell whether a file is sealed; refuse one that has changed, before HDF5, which damage can send astray.
+
+    Raises
+    ------
+    FileFormatError
+        If the content is not that of the digest in the seal.
+    """
     found = _seal(path)
     if found is not None and found[1] != _digest(path, found[0]):
         raise FileFormatError(

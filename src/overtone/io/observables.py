@@ -20,6 +20,7 @@ from overtone.errors import (
     UncalibratedWarning,
 )
 from overtone.harmonics import far_phase, read_receptance, to_force_harmonics
+from overtone.io.netcdf import REFERENCE
 from overtone.io.opening import kept_warnings, with_history
 from overtone.io.recording import Recording
 from overtone.io.registry import read_channels
@@ -161,6 +162,12 @@ def observables_of(recording: Recording, request: Request) -> xr.Dataset:
         attributes["pass"] = "lift"
         if "lift_height" in recording.facts:
             attributes["lift_height"] = recording.facts["lift_height"].value
+    attributes |= _of_its_correction(recording, request)
+    if "calibration" in attributes:
+        for channel in recording.channels:
+            if channel.name == REFERENCE:
+                flags = channel.values.astype(np.int8)
+                arrays[REFERENCE] = named_array(REFERENCE, flags, recording.dims, coords)
     dataset = validate_observables(xr.Dataset(arrays, attrs=attributes))
     _check_probe(recording, dataset, reading.probe)
     known_drive = not request.lift or _shares_drive(recording)
@@ -287,6 +294,17 @@ def _check_probe(recording: Recording, dataset: xr.Dataset, probe: Probe) -> Non
             UncalibratedWarning,
             stacklevel=2,
         )
+
+
+def _of_its_correction(recording: Recording, request: Request) -> dict[str, object]:
+    """Return the calibration that a saved scan was corrected with: what that left open is an error of every pixel.
+
+    Nothing where another probe is to be believed than the one that calibration belongs to.
+    """
+    stored = parse_reading(recording.metadata)
+    if stored is None or not stored.corrected or request.probe not in (None, stored.probe):
+        return {}
+    return {key: recording.metadata[key] for key in ("calibration",) if key in recording.metadata}
 
 
 # --- what cannot be concluded ---------------------------------------------------------------------

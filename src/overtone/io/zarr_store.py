@@ -25,10 +25,10 @@ from overtone.io.recording import Recording
 
 BLOCK = 128
 """Rows and columns of the blocks of a map; other dimensions are whole in each."""
+ORDER = "overtone_order"
+"""Attribute with the order of variables: a folder has none."""
 _DESCRIPTION = "zarr.json"
 _VERSION_2 = (".zgroup", ".zarray", ".zmetadata")
-# The order of variables: a folder has none.
-_ORDER = "overtone_order"
 _NUMBERS = frozenset(
     (
         "bool",
@@ -112,7 +112,7 @@ def save(dataset: xr.Dataset, path: str | Path) -> None:
     storable.attrs = storable_attributes(dataset.attrs)
     for name in storable.variables:
         storable[name].attrs = storable_attributes(dataset[name].attrs)
-    storable.attrs[_ORDER] = json.dumps([str(name) for name in dataset.data_vars])
+    storable.attrs[ORDER] = json.dumps([str(name) for name in dataset.data_vars])
     with atomic_folder(target, lambda old: sniff(old, b"")) as temporary:
         try:
             storable.to_zarr(temporary, mode="w-", zarr_format=3, consolidated=False, encoding=encoding)
@@ -197,7 +197,7 @@ def _opened(path: Path, chunks: dict[Any, Any] | None) -> xr.Dataset:
     dataset: xr.Dataset = xr.open_zarr(
         path, chunks=chunks, consolidated=False, zarr_format=3, decode_times=False
     )
-    order = dataset.attrs.pop(_ORDER, None)
+    order = dataset.attrs.pop(ORDER, None)
     names = json.loads(order) if isinstance(order, str) else []
     first = [name for name in names if name in dataset.data_vars] if isinstance(names, list) else []
     rest = sorted(str(name) for name in dataset.data_vars if name not in first)

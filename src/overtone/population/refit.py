@@ -226,6 +226,8 @@ class _Task:
             g, P = self._prior_slopes(theta)
             pull = J.T @ self.precision @ (self.centre - f) + g.ravel()[free]
             step = np.linalg.solve(J.T @ self.precision @ J + np.diag(P.ravel()[free]), pull)
+            if 0.5 * float(pull @ step) < _AT_REST:
+                break
             step *= min(1.0, float(np.min(longest.ravel()[free] / np.maximum(np.abs(step), 1e-300))))
             gained = 0.0
             for _ in range(_HALVINGS):

@@ -115,5 +115,7 @@ def linearised_interval(result: xr.Dataset, name: str) -> Interval | None:
     found, estimate = interval_of(result, name), estimate_of(result, name)
     if found is not None or name != "modulus" or "uncertainty" not in result or estimate is None:
         return found
-    factor = np.exp(_DEVIATIONS_90 * result["uncertainty"].transpose(*estimate.dims))
+    # where the data say next to nothing the interval is open and reaches infinity
+    with np.errstate(over="ignore"):
+        factor = np.exp(_DEVIATIONS_90 * result["uncertainty"].transpose(*estimate.dims))
     return Interval(estimate / factor, estimate * factor)

@@ -1,4 +1,4 @@
-"""The option --noise: what an observable's noise is, stated or told from a source, and the sentence that says which."""
+"""What the noise of a scan is, stated or told from a source, and the sentence that says which."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from overtone.cli.options import parse_noise
 from overtone.errors import OvertoneError
 from overtone.units import format_quantity, parse_amplitude_density, parse_quantity
 
@@ -15,11 +14,12 @@ PAIR = "pair"
 BANDWIDTH = "bandwidth"
 _LOCK_IN = (BANDWIDTH, "detector", "temperature")
 _EXAMPLE = '--noise "bandwidth=500 Hz, detector=50 fm/rtHz, temperature=300 K"'
+_KINDS = 'A0="5 pm", scatter, pair, or "bandwidth=500 Hz, detector=50 fm/rtHz"'
 
 
 @dataclass(frozen=True)
 class NoiseRequest:
-    """What the options --noise ask for."""
+    """What is said of the noise, before any file is opened."""
 
     stated: Mapping[str, float] = field(default_factory=dict)
     """Observable to standard deviation [m or rad]; stands before any source."""
@@ -74,9 +74,18 @@ def noise_request(texts: Sequence[str]) -> NoiseRequest:
 
 
 def _stated(pairs: Mapping[str, str]) -> dict[str, float]:
+    """Return the standard deviations of observables in SI units."""
     from overtone.instrument.noise import complete_noise
+    from overtone.quantities import quantity
 
-    stated = parse_noise([f"{name}={value}" for name, value in pairs.items()])
+    stated = {}
+    for name, text in pairs.items():
+        record = quantity(name)
+        if record is None or record.kind != "observable":
+            raise OvertoneError(
+                f"--noise {name} is not an observable", expected="A0, A1, phi1, A2, ...", hint=_KINDS
+            )
+        stated[name] = parse_quantity(text, record.unit, f"--noise {name}")
     complete_noise(stated, ())  # refuses what cannot be a standard deviation
     return stated
 
