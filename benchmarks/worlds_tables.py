@@ -269,6 +269,6 @@ def times(numbers: Numbers) -> str:
         cpu = numbers.value("runs", kind, "all", "cpu", digits=1)
         body.append([kind, wall, cpu])
     return (
-        "Median time of `map_properties` for a scan [s], with two scans at a time on two cores:\n\n"
+        "Median time of `map_properties` for a scan [s], with as many scans at a time as cores:\n\n"
         + lines_of(["sample", "elapsed", "on all cores together"], body)
     )
