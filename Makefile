@@ -6,7 +6,7 @@ install:  ## this package with everything a developer needs
 	python -m pip install -e ".[dev]"
 
 test:  ## the whole test suite, warnings as errors
-	python -m pytest
+	python -m pytest -n auto
 
 lint:  ## style, formatting and types, as in CI
 	python -m ruff check .

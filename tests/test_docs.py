@@ -54,7 +54,7 @@ def test_the_readme_names_the_commands_that_ci_runs() -> None:
     readme, script = (ROOT / "README.md").read_text(), (ROOT / ".ci/run").read_text()
     assert "\npython -m pip install . && overtone demo\n" in readme
     assert "pip install --quiet . && overtone demo" in script
-    command = 'python -m pip install -e ".[test]" && python -m pytest'
+    command = 'python -m pip install -e ".[test]" && python -m pytest -n auto'
     assert f"\n{command}\n" in readme
     assert command.replace("install -e", "install --quiet -e") in script
 

@@ -74,8 +74,8 @@ class Recording:
     vendor : str
         Key of the vendor preset that names its channels.
     dims : tuple of str
-        Dimensions of every channel: ``("y", "x")`` for a map, ``("point",)`` for a curve or a table, ``("time",)``
-        for what was demodulated.
+        Dimensions of every channel: ``("y", "x")`` for a map, ``("frame", "y", "x")`` for a video, ``("point",)`` for
+        a curve or a table, ``("time",)`` for what was demodulated.
     coords : mapping
         Coordinate arrays by dimension, in metres and ``time`` in seconds; absent where the file has none. A curve
         over ``z`` may have ``time`` as well.
@@ -84,9 +84,11 @@ class Recording:
     facts : mapping
         Facts by name: ``stiffness``, ``drive_frequency``, ``free_amplitude``, ``free_phase``,
         ``setpoint_amplitude``, ``tune_amplitude``, ``amplitude_sensitivity``,
-        ``second_lockin_frequency``, ``scale:<channel>``; ``sampling_step`` [s] between the points of a
-        curve or a plain wave; of files with a lift pass ``lift_height``, ``lift_drive_frequency``,
-        ``lift_drive_amplitude`` and ``drive_amplitude`` [V].
+        ``second_lockin_frequency``, ``drive_amplitude`` [V], ``drive_phase``; ``scale:<channel>`` [m/V], what a volt of
+        that channel means, ``offset:<channel>``, what to add to it, ``deflection_sensitivity`` [m/V];
+        ``free_amplitude_volts``, ``setpoint_volts`` and ``setpoint_fraction`` where the file has these;
+        ``sampling_step`` [s] between the points of a curve or a plain wave; of files with a lift pass
+        ``lift_height``, ``lift_drive_frequency`` and ``lift_drive_amplitude`` [V].
     resonances : tuple of Resonance
         Every (frequency, quality factor) pair in the file.
     metadata : mapping

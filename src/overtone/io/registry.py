@@ -104,8 +104,8 @@ def read_channels(path: str | Path) -> Recording:
     Parameters
     ----------
     path : str or Path
-        A file, the folder of a neaSNOM measurement or a Zarr store; ``experiment.pxp::Image0`` is one wave of an
-        Igor experiment that holds several.
+        A file, the folder of a neaSNOM measurement or of a Park scan, or a Zarr store; ``experiment.pxp::Image0`` is
+        one wave of an Igor experiment that holds several.
 
     Returns
     -------
