@@ -15,14 +15,18 @@ import xarray as xr
 from overtone.errors import (
     ChannelError,
     ChannelWarning,
+    FileFormatError,
     ObservablesError,
     OvertoneWarning,
+    ResonanceWarning,
     UncalibratedWarning,
 )
+from overtone.harmonics import far_phase
 from overtone.inversion.properties import map_energy
 from overtone.io.observables import open_scan
 from overtone.io.registry import read_channels
 from overtone.probe import Probe
+from overtone.readings import probe_of
 
 Made = Callable[..., bytes]
 ASYLUM = (
@@ -302,3 +306,84 @@ def test_trap_11_in_a_real_file(afm_data: Path) -> None:
     for values in amplitudes:
         assert np.isnan(values).any()
         assert np.nanmin(values) > -0.1
+
+
+def test_traps_1_and_2_of_two_resonances_the_one_that_predicts_the_free_lever_counts(
+    igor_wave: Made, tmp_path: Path
+) -> None:
+    """Driven 123 Hz below its tune and 213 Hz below its thermal frequency, as in a real file."""
+    note = (
+        ASYLUM.replace("300000\rDrive", "257190\rDrive")
+        .replace("DriveFrequency: 300000", "DriveFrequency: 256977")
+        .replace("ThermalQ: 400", "ThermalQ: 471.15")
+        .replace("FreeAirPhase: 90", "FreeAirPhase: 70.7\rTuneFreqResult: 257100\rTuneQResult: 391.72")
+    )
+    labels = ["AmplitudeRetrace", "PhaseRetrace"]
+    scan, said = opened(asylum(tmp_path, igor_wave, labels, ramp(30e-9, 31e-9), ramp(66, 75), note=note))
+    used = probe_of(scan).cantilever.modes[0]
+    assert (used.frequency, used.quality_factor) == (257100.0, 391.72)
+    assert "Used tune" in said[ResonanceWarning]
+    assert "Rejected thermal" in said[ResonanceWarning]
+    # the phase of resonance is not 90 deg here: taken so the mean force would have another sign
+    assert math.degrees(far_phase(probe_of(scan))) == pytest.approx(69.4, abs=0.3)
+
+
+def test_trap_8_the_step_of_igor_reaches_from_the_first_to_the_last_pixel(
+    igor_wave: Made, tmp_path: Path
+) -> None:
+    path = tmp_path / "made.ibw"
+    steps, labels = (1e-6 / 4, 3e-6 / 3, 1.0, 1.0), [(), (), ["AmplitudeRetrace", "PhaseRetrace"]]
+    note = ASYLUM + "FastScanSize: 1e-6\rSlowScanSize: 3e-6\r"
+    path.write_bytes(igor_wave(np.ones((5, 4, 2)), note=note, labels=labels, steps=steps))
+    recording = read_channels(path)
+    assert not [text for text in recording.notes if "disagree" in text]
+    np.testing.assert_allclose(np.ptp(recording.coords["x"]), 1e-6, rtol=1e-12)
+    np.testing.assert_allclose(np.ptp(recording.coords["y"]), 3e-6, rtol=1e-12)
+
+
+def test_trap_9_layers_are_known_by_their_labels(igor_wave: Made, tmp_path: Path) -> None:
+    note = ASYLUM + "Channel1DataType: Phase\rChannel2DataType: Amplitude\r"
+    path = asylum(
+        tmp_path, igor_wave, ["AmplitudeRetrace", "PhaseRetrace"], ramp(19e-9, 21e-9), ramp(60, 80), note=note
+    )
+    by_name = {channel.name: channel for channel in read_channels(path).channels}
+    np.testing.assert_allclose(by_name["Amplitude"].values, ramp(19e-9, 21e-9), rtol=1e-6)
+    np.testing.assert_allclose(by_name["Phase"].values, np.radians(ramp(60, 80)), rtol=1e-6)
+
+
+def test_trap_12_odd_shapes_names_notes_and_endings(
+    igor_wave: Made, nanoscope_file: Made, tmp_path: Path
+) -> None:
+    odd = ASYLUM + "Comment: 5 \u00b5m, na\u00efve\r"
+    layers = [ramp(19e-9, 21e-9, (3, 7)), ramp(60, 80, (3, 7))]
+    content = igor_wave(
+        np.stack([layer[::-1].T for layer in layers], axis=-1),
+        note=odd,
+        labels=[(), (), ["AmplitudeRetrace", "PhaseRetrace"]],
+    )
+    path = tmp_path / "picture.spm"  # an Igor wave all the same
+    path.write_bytes(content)
+    recording = read_channels(path)
+    assert recording.format == "igor"
+    assert recording.channels[0].values.shape == (3, 7)
+    twice = bruker(
+        tmp_path,
+        nanoscope_file,
+        ("Phase", ramp(0, 9)),
+        ("Phase", ramp(0, 9)),
+        ("AmplitudeActual", ramp(9, 99)),
+    )
+    with pytest.raises(ChannelError, match="holds Phase 2 times"):
+        opened(twice, probe=probe(), far_phase=0.0)
+    path.write_bytes(content[:-40])
+    with pytest.raises(FileFormatError, match="not a whole Igor"):
+        read_channels(path)
+
+
+def test_trap_13_the_size_of_a_scan_has_a_unit(nanoscope_file: Made, tmp_path: Path) -> None:
+    widths = []
+    for text in ("2000 2000 nm", "2 2 ~m"):
+        path = bruker(tmp_path, nanoscope_file, ("Phase", ramp(0, 9, (8, 8))), own=[{"Scan Size": text}])
+        x = read_channels(path).coords["x"]
+        widths.append(float(np.ptp(x) + x[1] - x[0]))
+    np.testing.assert_allclose(widths, 2e-6, rtol=1e-9)
