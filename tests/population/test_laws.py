@@ -28,8 +28,10 @@ from overtone.population.laws import (
     of_the_model,
 )
 from overtone.population.materials import Draws, Question
+from overtone.population.other_laws import laws_of
 from overtone.population.refit import LIKELY, Obeyed, refits
 from overtone.population.spread import Spread
+from overtone.population.table import Material
 
 PROBE = demo_probe()
 R, OMEGA = PROBE.tip.radius, 2.0 * math.pi * PROBE.drive.frequency
@@ -254,3 +256,34 @@ def test_a_law_that_the_data_exclude():
     found = {refit.key: refit for refit in refits(joint_of(y, loose, theta, 0.0), QUESTION, -0.5)}
     assert not found["jkr"].excluded
     assert Obeyed(LAWS["jkr"], np.array([True])).law.title == "JKR adhesion"
+
+
+def test_the_table_of_laws_takes_the_largest_change_that_is_not_excluded():
+    theta = np.array([math.log(9e7), math.log(12.0), math.log(0.08), -1.6])
+    y = rows_under(None, theta)
+    covariance = (1e-3 * np.abs(y).max()) ** 2 * np.eye(y.size)
+    loose, tight = (joint_of(y, size * covariance, theta, 0.0) for size in (400.0**2, 1.0))
+    materials = [
+        Material(0, 100, 1, True, False, loose, 0),
+        Material(1, 100, 1, True, False, None, 0),
+        Material(2, 100, 1, True, False, tight, 0),
+    ]
+    found = laws_of(materials, QUESTION, -0.5, ["open", "none", "sure"])
+    keys = list(found.arrays["law_change"]["law"].values)
+    for k, joint in ((0, loose), (2, tight)):
+        tried = {refit.key: refit for refit in refits(joint, QUESTION, -0.5)}
+        assert set(tried) <= set(keys)  # a law that does not apply is not tried
+        changes = [refit.change[0] for refit in tried.values() if not refit.excluded]
+        assert found.error[k] == max(changes, key=abs)
+        assert found.arrays["law_gain"].values[k, keys.index("jkr")] == tried["jkr"].gain
+    assert (
+        found.arrays["law_gain"].values[2, keys.index("jkr")]
+        < -LIKELY
+        < found.arrays["law_gain"].values[0, 0]
+    )
+    assert np.isnan(found.error[1])
+    assert np.isnan(found.arrays["law_change"].values[1]).all()
+    assert found.better == ""
+    joint = joint_of(rows_under(LAWS["jkr"], theta), covariance, theta, 0.0)
+    found = laws_of([Material(0, 9, 1, True, False, joint, 0)], QUESTION, -0.5, ["a"])
+    assert found.better.startswith("JKR adhesion (ln of odds ")
