@@ -145,6 +145,7 @@ def test_real_harmonics(afm_data):
     )
     assert scan.facts["drive_frequency"].value == 237595.092
     assert scan.facts["setpoint_amplitude"].value == pytest.approx(87.076e-9)
+    assert scan.facts["setpoint_fraction"].value == pytest.approx(0.7046)
     assert scan.facts["scale:M1A"].value == pytest.approx(4.978e-9)
     assert scan.metadata["Setpoint [%]"] == "70.46"
     np.testing.assert_allclose(scan.coords["x"], (np.arange(20) + 0.5) * 0.04e-6)

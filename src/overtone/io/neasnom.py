@@ -256,6 +256,7 @@ def _facts(settings: Mapping[str, _Entry]) -> dict[str, Fact]:
     for name, key, unit in (
         ("drive_frequency", "Tip Frequency", "Hz"),
         ("setpoint_amplitude", "Tapping Amplitude", "m"),
+        ("setpoint_fraction", "Setpoint", "1"),
         ("scale:M1A", "M1A Scaling", "m/V"),
     ):
         value = _quantity(settings, key, unit)
