@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from overtone.dynamics.steady import steady_states as steady_states
     from overtone.harmonics import to_force_harmonics as to_force_harmonics
     from overtone.harmonics import to_observables as to_observables
+    from overtone.inspection.scan import inspect_scan as inspect_scan
     from overtone.instrument.approach_fit import Reference as Reference
     from overtone.instrument.calibrate import calibrate as calibrate
     from overtone.instrument.calibration import Calibration as Calibration
@@ -58,7 +59,6 @@ if TYPE_CHECKING:
     from overtone.io.curves import open_curve as open_curve
     from overtone.io.export import load as load
     from overtone.io.export import save as save
-    from overtone.io.inspection import inspect_scan as inspect_scan
     from overtone.io.ladder import open_ladder as open_ladder
     from overtone.io.observables import open_scan as open_scan
     from overtone.io.quadratures import from_quadratures as from_quadratures
@@ -97,7 +97,7 @@ _HOME = {
     "from_quadratures": "io.quadratures",
     "gates": "instrument.gates",
     "hold_amplitude": "dynamics.hold",
-    "inspect_scan": "io.inspection",
+    "inspect_scan": "inspection.scan",
     "lever_near_surface": "instrument.surface",
     "load": "io.export",
     "load_calibration": "instrument.calibration",

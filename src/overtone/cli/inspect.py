@@ -16,7 +16,7 @@ from overtone.cli.options import ScanOptions, reading_arguments
 from overtone.units import format_quantity, parse_quantity
 
 if TYPE_CHECKING:
-    from overtone.io.inspection_records import Ask, Inspection, Verdict
+    from overtone.inspection.records import Ask, Inspection, Verdict
 
 _WIDEST = 100
 _LONGEST_KEY = 30
@@ -36,7 +36,7 @@ def inspect(file: Path, /, *, scan: ScanOptions = ScanOptions()) -> None:  # noq
     scan : ScanOptions
         What is known already of how the file is to be read.
     """
-    from overtone.io.inspection import inspect_scan
+    from overtone.inspection.scan import inspect_scan
 
     radius = parse_quantity(scan.radius, "m", "--radius") if scan.radius else None
     inspection = inspect_scan(
@@ -90,7 +90,7 @@ def _parts(inspection: Inspection) -> Iterator[RenderableType]:
 
 
 def _channels(inspection: Inspection) -> Iterator[RenderableType]:
-    from overtone.io.inspection_tables import numbers_text
+    from overtone.inspection.tables import numbers_text
 
     ways = {row.direction for row in inspection.channels}
     one = next(iter(ways)) if len(ways) == 1 else None

@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 import xarray as xr
 
 from overtone.harmonics import regime
+from overtone.inspection.look import Look
+from overtone.inspection.needs import ABSENT, DOUBTFUL, LOST, MISSING, TAPPING, THERE, Need, open_ends
+from overtone.inspection.records import IF, NO, YES, Missing, Verdict, as_sentence, listed
 from overtone.instrument.noise import complete_noise
-from overtone.io.inspection_look import Look
-from overtone.io.inspection_needs import ABSENT, DOUBTFUL, LOST, MISSING, TAPPING, THERE, Need, open_ends
-from overtone.io.inspection_records import IF, NO, YES, Missing, Verdict, as_sentence, listed
 from overtone.report.shares import flag_shares, format_share
 
 ENERGIES = "energy dissipated and force of the first harmonic"

@@ -12,9 +12,9 @@ import numpy.typing as npt
 import xarray as xr
 
 from overtone import provenance
-from overtone.io.inspection_records import IF, NO, YES, Inspection, PropertyRow, Verdict
-from overtone.io.inspection_tables import format_title
-from overtone.io.inspection_verdicts import ABSOLUTE, CONTRAST, ENERGIES, REGIME, RELATIVE, shares_text
+from overtone.inspection.records import IF, NO, YES, Inspection, PropertyRow, Verdict
+from overtone.inspection.tables import format_title
+from overtone.inspection.verdicts import ABSOLUTE, CONTRAST, ENERGIES, REGIME, RELATIVE, shares_text
 from overtone.quantities import quantity
 from overtone.report.shares import flag_shares
 from overtone.units import display_unit, format_quantity

@@ -9,15 +9,15 @@ from pathlib import Path
 import xarray as xr
 
 from overtone.errors import ChannelWarning, DistortionWarning, ResonanceWarning
+from overtone.inspection.asks import asks_of, probe_file
+from overtone.inspection.channels import unused
+from overtone.inspection.look import Look, look_at
+from overtone.inspection.needs import TOO_LARGE, needs_of
+from overtone.inspection.records import Inspection, as_sentence
+from overtone.inspection.results import inspect_result, is_result
+from overtone.inspection.tables import channel_rows, format_title, setting_rows, size_text
+from overtone.inspection.verdicts import missing_of, verdicts_of
 from overtone.io import netcdf, zarr_store
-from overtone.io.inspection_asks import asks_of, probe_file
-from overtone.io.inspection_channels import unused
-from overtone.io.inspection_look import Look, look_at
-from overtone.io.inspection_needs import TOO_LARGE, needs_of
-from overtone.io.inspection_records import Inspection, as_sentence
-from overtone.io.inspection_results import inspect_result, is_result
-from overtone.io.inspection_tables import channel_rows, format_title, setting_rows, size_text
-from overtone.io.inspection_verdicts import missing_of, verdicts_of
 from overtone.io.recording import Recording
 from overtone.io.registry import read_channels
 from overtone.io.selection import Request

@@ -13,10 +13,10 @@ import xarray as xr
 
 import overtone as ot
 from overtone.errors import ChannelError, OvertoneError
+from overtone.inspection.records import IF, NO, YES, Ask, ChannelRow, Inspection
+from overtone.inspection.tables import numbers_text
+from overtone.inspection.verdicts import ABSOLUTE, CALIBRATES, CONTRAST, ENERGIES, REGIME, RELATIVE
 from overtone.io import zarr_store
-from overtone.io.inspection_records import IF, NO, YES, Ask, ChannelRow, Inspection
-from overtone.io.inspection_tables import numbers_text
-from overtone.io.inspection_verdicts import ABSOLUTE, CALIBRATES, CONTRAST, ENERGIES, REGIME, RELATIVE
 from overtone.io.netcdf import save
 from overtone.probe import Probe, load_probe
 from overtone.provenance import add_finding, record

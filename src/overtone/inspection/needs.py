@@ -10,9 +10,9 @@ import numpy as np
 
 from overtone.errors import PhaseReferenceWarning
 from overtone.harmonics import far_phase
-from overtone.io.inspection_channels import mean_deflection, nameable_channels, spare_channels, unused
-from overtone.io.inspection_look import Look
-from overtone.io.inspection_tables import quantity_text
+from overtone.inspection.channels import mean_deflection, nameable_channels, spare_channels, unused
+from overtone.inspection.look import Look
+from overtone.inspection.tables import quantity_text
 from overtone.io.resonance import NOMINAL, PLAUSIBLE_PHASE, free_phase_error, usable_resonances, why_not
 from overtone.io.vendors import vendor_of
 from overtone.probe import SLOPE, Probe

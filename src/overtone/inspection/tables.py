@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from overtone.io.inspection_records import ChannelRow, SettingRow
+from overtone.inspection.records import ChannelRow, SettingRow
 from overtone.io.recording import Channel, Recording
 from overtone.io.registry import FORMATS
 from overtone.io.resonance import NOMINAL

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from overtone.io.inspection_channels import nameable_channels, spare_channels
-from overtone.io.inspection_look import Look
-from overtone.io.inspection_needs import LOST, MISSING, THERE, Need
-from overtone.io.inspection_records import Ask, listed
-from overtone.io.inspection_verdicts import modulus_harmonics
+from overtone.inspection.channels import nameable_channels, spare_channels
+from overtone.inspection.look import Look
+from overtone.inspection.needs import LOST, MISSING, THERE, Need
+from overtone.inspection.records import Ask, listed
+from overtone.inspection.verdicts import modulus_harmonics
 from overtone.io.recording import Recording
 from overtone.io.resonance import usable_resonances
 from overtone.io.vendors import vendor_of

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from overtone.io.inspection_look import Look
+from overtone.inspection.look import Look
 from overtone.quantities import quantity
 
 LARGEST_DEFLECTION = 5e-9
