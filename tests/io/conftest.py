@@ -1,8 +1,13 @@
 import struct
+import time
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import numpy as np
 import pytest
+
+from overtone.errors import OvertoneError
+from overtone.io.registry import read_channels
 
 
 def _cell(text: str) -> bytes:
@@ -141,3 +146,24 @@ def _nanoscope(
 @pytest.fixture(scope="session")
 def nanoscope_file() -> Callable[..., bytes]:
     return _nanoscope
+
+
+def _survives(path: Path, content: bytes) -> bool:
+    """Whether bytes are read, soon and of one shape; else they are refused in so many words."""
+    path.write_bytes(content)
+    began = time.perf_counter()
+    try:
+        recording, message = read_channels(path), ""
+    except OvertoneError as error:
+        recording, message = None, str(error)
+    assert time.perf_counter() - began < 5.0
+    if recording is None:
+        assert len(message) < 1000
+        return False
+    assert len({c.values.shape for c in recording.channels}) == 1
+    return True
+
+
+@pytest.fixture(scope="session")
+def survives() -> Callable[[Path, bytes], bool]:
+    return _survives

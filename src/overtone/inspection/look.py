@@ -17,8 +17,8 @@ from overtone.io.curves import open_curve
 from overtone.io.imaging_mode import Mode, imaging_mode
 from overtone.io.observables import observables_of
 from overtone.io.recording import Channel, Recording
-from overtone.io.selection import OBSERVABLES, Request, check_request, choose, one_frame
-from overtone.io.vendors import candidates, lift_channels, main_channels
+from overtone.io.selection import OBSERVABLES, Request, channels_for, check_request, choose, one_frame
+from overtone.io.vendors import lift_channels, main_channels
 from overtone.readings import Reading, parse_reading, reading_of
 
 _HEIGHTS_OF_CURVES = ("ZSnsr", "Raw")
@@ -139,19 +139,10 @@ def _found(
     chosen: dict[str, Channel] = {}
     twice = False
     for observable in OBSERVABLES:
-        names = (
-            (request.channels[observable],)
-            if observable in request.channels
-            else candidates(recording, observable, lift=request.lift)
-        )
-        for name in names:
-            found = [
-                c for c in pool if c.name == name and (direction is None or c.direction in (direction, None))
-            ]
-            if found:
-                chosen[observable] = found[0]
-                twice = twice or len(found) > 1
-                break
+        found = channels_for(recording, pool, request, observable, direction)
+        if found:
+            chosen[observable] = found[0]
+            twice = twice or len(found) > 1
     return chosen, twice
 
 

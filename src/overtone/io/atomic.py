@@ -35,13 +35,7 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
         If the folder does not exist, the target is a folder, or the file cannot be written.
     """
     target = Path(path)
-    if not target.parent.is_dir():
-        raise FileFormatError(
-            f"cannot write {str(target)!r}",
-            expected="an existing folder",
-            got=f"{str(target.parent)!r}, which is none",
-            hint="create the folder first, or check the path",
-        )
+    _check_parent(target)
     if target.is_dir():
         raise FileFormatError(
             f"cannot write {str(target)!r}",
@@ -55,12 +49,7 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
         yield temporary
         temporary.replace(target)
     except OSError as error:
-        raise FileFormatError(
-            f"cannot write {str(target)!r}",
-            expected="a folder that can be written to, with space left",
-            got=f"{type(error).__name__} ({error.strerror or error})",
-            hint="another folder",
-        ) from error
+        raise _not_written(target, error) from error
     finally:
         temporary.unlink(missing_ok=True)
 
@@ -91,13 +80,7 @@ def atomic_folder(path: str | Path, is_replaceable: Callable[[Path], bool]) -> I
         If the folder above does not exist, something else is in the way, or the folder cannot be written.
     """
     target = Path(path)
-    if not target.parent.is_dir():
-        raise FileFormatError(
-            f"cannot write {str(target)!r}",
-            expected="an existing folder",
-            got=f"{str(target.parent)!r}, which is none",
-            hint="create the folder first, or check the path",
-        )
+    _check_parent(target)
     if target.is_symlink() or (target.exists() and not (target.is_dir() and is_replaceable(target))):
         raise FileFormatError(
             f"cannot write {str(target)!r}",
@@ -119,12 +102,26 @@ def atomic_folder(path: str | Path, is_replaceable: Callable[[Path], bool]) -> I
                 aside.rename(target)
             raise
     except OSError as error:
-        raise FileFormatError(
-            f"cannot write {str(target)!r}",
-            expected="a folder that can be written to, with space left",
-            got=f"{type(error).__name__} ({error.strerror or error})",
-            hint="another folder",
-        ) from error
+        raise _not_written(target, error) from error
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
     shutil.rmtree(aside, ignore_errors=True)
+
+
+def _check_parent(target: Path) -> None:
+    if not target.parent.is_dir():
+        raise FileFormatError(
+            f"cannot write {str(target)!r}",
+            expected="an existing folder",
+            got=f"{str(target.parent)!r}, which is none",
+            hint="create the folder first, or check the path",
+        )
+
+
+def _not_written(target: Path, error: OSError) -> FileFormatError:
+    return FileFormatError(
+        f"cannot write {str(target)!r}",
+        expected="a folder that can be written to, with space left",
+        got=f"{type(error).__name__} ({error.strerror or error})",
+        hint="another folder",
+    )

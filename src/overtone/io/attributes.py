@@ -7,11 +7,21 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+import xarray as xr
 
 
 def storable_attributes(attributes: Mapping[Any, Any]) -> dict[str, Any]:
     """Return attributes as text, numbers and lists of numbers; what is neither becomes JSON text."""
     return {str(key): _attribute(value) for key, value in attributes.items()}
+
+
+def with_storable_attributes(dataset: xr.Dataset) -> xr.Dataset:
+    """Return a dataset without the encoding of the file it came from, its attributes and its variables' storable."""
+    storable = dataset.drop_encoding().assign_attrs()
+    storable.attrs = storable_attributes(dataset.attrs)
+    for name in storable.variables:
+        storable[name].attrs = storable_attributes(dataset[name].attrs)
+    return storable
 
 
 def _attribute(value: Any) -> Any:

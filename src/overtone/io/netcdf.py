@@ -15,7 +15,7 @@ import xarray as xr
 from overtone.errors import FileFormatError, ObservablesError
 from overtone.io import hdf5_guard
 from overtone.io.atomic import atomic_path
-from overtone.io.attributes import as_text, storable_attributes
+from overtone.io.attributes import as_text, with_storable_attributes
 from overtone.io.recording import Channel, Fact, Recording
 from overtone.io.si import to_si
 from overtone.quantities import LIFT
@@ -78,10 +78,7 @@ def save(dataset: xr.Dataset, path: str | Path) -> None:
                 f"{name} holds complex numbers, which netCDF does not",
                 hint="save real and imaginary part, or amplitude and phase, as two variables",
             )
-    storable = dataset.drop_encoding().assign_attrs()
-    storable.attrs = storable_attributes(dataset.attrs)
-    for name in storable.variables:
-        storable[name].attrs = storable_attributes(dataset[name].attrs)
+    storable = with_storable_attributes(dataset)
     encoding = {
         name: {"zlib": True, "complevel": 4}
         for name, array in storable.variables.items()

@@ -141,7 +141,7 @@ def choose(recording: Recording, request: Request) -> dict[str, Channel]:
         )
     chosen: dict[str, Channel] = {}
     for observable in OBSERVABLES:
-        found = _found(recording, pool, request, observable, direction)
+        found = channels_for(recording, pool, request, observable, direction)
         if len(found) > 1:
             raise ChannelError(
                 f"{recording.path.name} holds {found[0].name} {len(found)} times",
@@ -154,7 +154,9 @@ def choose(recording: Recording, request: Request) -> dict[str, Channel]:
     mixed = {c.direction for name, c in chosen.items() if name != "height" and c.direction}
     if len(mixed) > 1:
         whole = [
-            way for way in mixed if all(_found(recording, pool, request, o, way) for o in ("A1", "phi1"))
+            way
+            for way in mixed
+            if all(channels_for(recording, pool, request, o, way) for o in ("A1", "phi1"))
         ]
         raise ChannelError(
             "trace and retrace do not mix",
@@ -180,7 +182,7 @@ def choose(recording: Recording, request: Request) -> dict[str, Channel]:
     return chosen
 
 
-def _found(
+def channels_for(
     recording: Recording, pool: tuple[Channel, ...], request: Request, observable: str, direction: str | None
 ) -> list[Channel]:
     """Return the channels of the first name for an observable that the pass has in this direction."""

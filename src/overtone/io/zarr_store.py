@@ -19,7 +19,7 @@ import xarray as xr
 
 from overtone.errors import FileFormatError, ObservablesError, OvertoneError
 from overtone.io.atomic import atomic_folder
-from overtone.io.attributes import storable_attributes
+from overtone.io.attributes import with_storable_attributes
 from overtone.io.netcdf import check_dataset, recording_of
 from overtone.io.recording import Recording
 
@@ -92,7 +92,7 @@ def save(dataset: xr.Dataset, path: str | Path) -> None:
     check_dataset(dataset)
     with _library():
         from zarr.codecs import ZstdCodec
-    storable = dataset.drop_encoding()
+    storable = with_storable_attributes(dataset)
     encoding: dict[Any, Any] = {}
     for name, array in dataset.variables.items():
         if array.dtype.kind == "c":
@@ -109,9 +109,6 @@ def save(dataset: xr.Dataset, path: str | Path) -> None:
             encoding[name] = {"compressors": (ZstdCodec(level=3, checksum=True),)}
             if array.chunks is None:
                 encoding[name]["chunks"] = blocks
-    storable.attrs = storable_attributes(dataset.attrs)
-    for name in storable.variables:
-        storable[name].attrs = storable_attributes(dataset[name].attrs)
     storable.attrs[ORDER] = json.dumps([str(name) for name in dataset.data_vars])
     with atomic_folder(target, lambda old: sniff(old, b"")) as temporary:
         try:

@@ -14,9 +14,18 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from overtone.inversion.table import DEEPEST, SHALLOWEST
+from overtone.inversion.posterior import Prior
+from overtone.kernels import kernel
 from overtone.population.evidence import inverse
-from overtone.population.forward import ADHESION, FIRST_DEPTH, TANGENT
+from overtone.population.forward import (
+    ADHESION,
+    FIRST_DEPTH,
+    TANGENT,
+    Scene,
+    add_priors,
+    inside,
+    log_prior,
+)
 from overtone.population.joint import Joint, free_properties
 from overtone.population.laws import Contacts, Law, Surroundings, alternatives, of_the_model
 from overtone.population.materials import Question
@@ -29,7 +38,6 @@ _STEPS, _HALVINGS = 60, 12
 _NUDGE = 1e-4
 _LONGEST, _LONGEST_LOG = 0.5, 1.0  # step of t, and of a logarithm
 _LEAST = -12.0  # ln of an adhesion in units, or of a loss tangent
-_OPEN = 0.2  # curvature of ln of what may vanish, at least
 _AT_REST = 1e-6  # gain of ln of the density that ends a search
 
 
@@ -121,7 +129,7 @@ class _Task:
     """A joint posterior as a function of ln E and the unknowns (material, 1 + unknown)."""
 
     def __init__(self, joint: Joint, question: Question, exponent: float) -> None:
-        scene = joint.draws.scene
+        self.scene = scene = joint.draws.scene
         self.joint, self.question, self.exponent = joint, question, exponent
         self.amplitude, self.unit = scene.amplitude, scene.unit
         self.orders, self.lossy, self.references = scene.orders, scene.lossy, scene.references
@@ -223,7 +231,7 @@ class _Task:
             J = J[:, free]
             if not (np.isfinite(J).all() and np.isfinite(f).all()):
                 break
-            g, P = self._prior_slopes(theta)
+            _, g, P = self._priors(theta)
             pull = J.T @ self.precision @ (self.centre - f) + g.ravel()[free]
             step = np.linalg.solve(J.T @ self.precision @ J + np.diag(P.ravel()[free]), pull)
             if 0.5 * float(pull @ step) < _AT_REST:
@@ -243,45 +251,30 @@ class _Task:
         return theta
 
     def _log_prior(self, theta: _Floats) -> float:
-        prior, question = self.question.prior, self.question
-        x, v = theta[:, 0], theta[:, 1:]
-        t = v[:, FIRST_DEPTH:]
-        total = -0.5 * prior.precision * float(((x - prior.centre) ** 2).sum())
-        inside = bool(((prior.log_low < x) & (x < prior.log_high)).all())
-        inside &= bool(((t > SHALLOWEST) & (t < DEEPEST)).all())
-        if question.sticky:
-            ln_F = v[:, ADHESION] + math.log(self.unit)
-            F = np.exp(ln_F)
-            if question.even:
-                total -= 0.5 * prior.adhesion_precision * float(((ln_F - prior.adhesion_mean) ** 2).sum())
-            else:
-                total += float(
-                    (v[:, ADHESION] - 0.5 * prior.adhesion_precision * (F - prior.adhesion_mean) ** 2).sum()
-                )
-            inside &= bool(((prior.adhesion_low <= F) & (prior.adhesion_high >= F)).all())
-            inside &= bool((v[:, ADHESION] > _LEAST).all())
-        if question.loss:
-            total += float(v[:, TANGENT].sum())
-            inside &= bool((np.exp(v[:, TANGENT]) <= prior.tangent_high).all())
-            inside &= bool((v[:, TANGENT] > _LEAST).all())
-        total -= float(np.log1p(np.exp(t)).sum())
-        return total if inside else -math.inf
+        small = np.full(theta.shape[1] - 1, False)
+        small[ADHESION], small[TANGENT] = self.question.sticky, self.question.loss
+        if (theta[:, 1:][:, small] <= _LEAST).any():
+            return -math.inf
+        return self._priors(theta)[0]
 
-    def _prior_slopes(self, theta: _Floats) -> tuple[_Floats, _Floats]:
-        """Return the slope of ln of the priors, and what they add to the diagonal of the metric."""
-        prior, question = self.question.prior, self.question
-        g, P = np.zeros(theta.shape), np.zeros(theta.shape)
-        g[:, 0] = -prior.precision * (theta[:, 0] - prior.centre)
-        P[:, 0] = prior.precision + 12.0 / (prior.log_high - prior.log_low) ** 2
-        ln_F = theta[:, 1 + ADHESION] + math.log(self.unit)
-        F = np.exp(ln_F)
-        if question.even:
-            g[:, 1 + ADHESION] = -prior.adhesion_precision * (ln_F - prior.adhesion_mean)
-            P[:, 1 + ADHESION] = _OPEN + prior.adhesion_precision
-        else:
-            g[:, 1 + ADHESION] = 1.0 - prior.adhesion_precision * (F - prior.adhesion_mean) * F
-            P[:, 1 + ADHESION] = _OPEN + prior.adhesion_precision * F * F
-        g[:, 1 + TANGENT], P[:, 1 + TANGENT] = 1.0, _OPEN
-        Delta = 1.0 / (1.0 + np.exp(-theta[:, 1 + FIRST_DEPTH :]))
-        g[:, 1 + FIRST_DEPTH :], P[:, 1 + FIRST_DEPTH :] = -Delta, Delta * (1.0 - Delta)
-        return g, P
+    def _priors(self, theta: _Floats) -> tuple[float, _Floats, _Floats]:
+        """Return ln of the priors, its slope and what they add to the diagonal of the metric, as theta is ordered."""
+        question, (materials, width) = self.question, theta.shape
+        x, v = np.ascontiguousarray(theta[:, 0]), np.ascontiguousarray(theta[:, 1:])
+        g, P = np.zeros(theta.size), np.zeros(theta.size)
+        value = _weigh(self.scene, question.prior, question.sticky, question.loss, x, v, g, P)
+        # those of ln E stand behind all others
+        others = materials * (width - 1)
+        in_order = [np.column_stack([part[others:], part[:others].reshape(v.shape)]) for part in (g, P)]
+        return value, in_order[0], in_order[1]
+
+
+@kernel
+def _weigh(
+    scene: Scene, prior: Prior, sticky: bool, loss: bool, x: _Floats, v: _Floats, g: _Floats, P: _Floats
+) -> float:
+    """Fill slope and metric of the priors as `add_priors` orders them; return their ln, or minus infinity."""
+    add_priors(scene, prior, sticky, loss, x, v, g, P)
+    if not inside(scene, prior, sticky, loss, x, v):
+        return -math.inf
+    return log_prior(scene, prior, sticky, loss, x, v)
