@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -12,12 +13,43 @@ from overtone.kernels import inlined, inner, lean
 _Floats = npt.NDArray[np.float64]
 
 LEVELS = np.array([0.05, 0.5, 0.95])
-MASS_, STEP_ = 0, 1
-"""Rows of bins (2, bin): the mass of each beside what steps add, and by how much it steps up from the one before."""
+MASS_, STEP_, BEND_ = 0, 1, 2
+"""Rows of bins (3, bin): the mass of each beside what steps add, by how much it steps up from the one before, and by
+how much these steps grow."""
 
-_PIECES = 8  # of a Gaussian that a bound cuts
+_PIECES = 6  # of a Gaussian that a bound cuts
+_CUT = 2.45  # standard deviations from a bound within which it is cut: as far as the pieces of one that is not reach
+_FAR = 3.3  # of them, beyond which nothing of one that is cut counts
 _LEAST_SHARE = 1e-3  # of the upper end of a piece, at which it ends in bins of the logarithm
-_ROOT_2 = math.sqrt(2.0)
+_NARROW = 4.0  # bins, from which on a slope is one
+_SPAN = math.sqrt(6.0)  # half of the base of a triangle of standard deviation 1
+_REACH, _FINENESS = 6.0, 64
+_ABOVE = np.array([0.5 * math.erfc((k / _FINENESS - _REACH) / math.sqrt(2.0)) for k in range(2 * 6 * 64 + 2)])
+_ALIKE = 1.0  # of its standard deviation, over which the middles of Gaussians reach that are added as one
+
+
+class Group(NamedTuple):
+    """Gaussians whose middles are so near each other that one stands for all of them."""
+
+    mass: float
+    first: float
+    """Middle of the first, from which others are counted."""
+    sum: float
+    """Of mass times middle, of that squared, of variance, half of a cell and upper bound."""
+    square: float
+    variance: float
+    half: float
+    limit: float
+    reach: float
+    """How far from the first a middle may lie."""
+
+
+@inlined
+def _above(x: float) -> float:
+    """Return what a normal distribution has above a value between -6 and 6; to 1e-5, and beyond 5 to 1e-3 of it."""
+    place = (x + _REACH) * _FINENESS
+    k = int(place)
+    return _ABOVE[k] + (place - k) * (_ABOVE[k + 1] - _ABOVE[k])
 
 
 @inlined
@@ -28,30 +60,28 @@ def gauss_mass(low: float, high: float, mean: float, sigma: float) -> tuple[floa
         far = max(a, -b)
         tail = 1.0 / (far * far)
         return 0.3989422804014327 / far * (1.0 - tail * (1.0 - 3.0 * tail)), -0.5 * far * far
-    above = 0.5 * math.erfc(a / _ROOT_2) if a > -6.0 else 1.0
-    beyond = 0.5 * math.erfc(b / _ROOT_2) if b < 6.0 else 0.0
-    return above - beyond, 0.0
+    return (_above(a) if a > -_REACH else 1.0) - (_above(b) if b < _REACH else 0.0), 0.0
 
 
 @inlined
-def gauss_moments(low: float, high: float, mean: float, sigma: float) -> tuple[float, float]:
-    """Return mean and spread of a Gaussian between two bounds."""
+def gauss_between(low: float, high: float, mean: float, sigma: float) -> tuple[float, float, float, float]:
+    """Return mass and exponent of `gauss_mass`, with mean and spread of the Gaussian between the bounds."""
     a, b = (low - mean) / sigma, (high - mean) / sigma
-    if a < -6.0 and b > 6.0:
-        return mean, sigma
+    if a < -_REACH and b > _REACH:
+        return 1.0, 0.0, mean, sigma
+    mass, more = gauss_mass(low, high, mean, sigma)
     if a > 5.0:
-        return low + sigma / a, sigma / a
+        return mass, more, low + sigma / a, sigma / a
     if b < -5.0:
-        return high + sigma / b, -sigma / b
-    mass, _ = gauss_mass(low, high, mean, sigma)
+        return mass, more, high + sigma / b, -sigma / b
     if not mass > 0.0:
-        return 0.5 * (low + high), 0.0
-    at_a = 0.3989422804014327 * math.exp(-0.5 * a * a)
-    at_b = 0.3989422804014327 * math.exp(-0.5 * b * b)
+        return mass, more, 0.5 * (low + high), 0.0
+    at_a = 0.3989422804014327 * math.exp(-0.5 * a * a) if a > -_REACH else 0.0
+    at_b = 0.3989422804014327 * math.exp(-0.5 * b * b) if b < _REACH else 0.0
     shift = (at_a - at_b) / mass
     bend = (a * at_a if at_a > 0.0 else 0.0) - (b * at_b if at_b > 0.0 else 0.0)
     variance = 1.0 + bend / mass - shift * shift
-    return mean + sigma * shift, sigma * math.sqrt(max(variance, 0.0))
+    return mass, more, mean + sigma * shift, sigma * math.sqrt(max(variance, 0.0))
 
 
 @inlined
@@ -77,12 +107,23 @@ def spread_over(bins: _Floats, low: float, fineness: float, left: float, right: 
     _spread_between(bins, (left - low) * fineness, (right - low) * fineness, mass)
 
 
+@inlined
+def _bend_at(bins: _Floats, x: float, by: float) -> None:
+    """Let the slope of the mass grow at a place in units of bins."""
+    # masses are those about the middle of a bin
+    k = int(x - 0.5)
+    share = x - 0.5 - k
+    bins[BEND_, k] += by * (1.0 - share)
+    bins[BEND_, k + 1] += by * share
+
+
 @inner
 def sum_steps(bins: _Floats) -> _Floats:
     """Return the histogram, when all masses are in."""
-    each = 0.0
+    each, slope = 0.0, 0.0
     for k in range(bins.shape[1]):
-        each += bins[STEP_, k]
+        each += bins[STEP_, k] + slope
+        slope += bins[BEND_, k]
         bins[MASS_, k] += each
     return bins[MASS_]
 
@@ -192,14 +233,14 @@ def add_gaussian(
     logarithmic: bool,
     mass: float,
 ) -> None:
-    """Add a mass around a value: Gaussian between two bounds, and even over the cell of its node beyond that.
+    """Add a mass around a value: Gaussian between two bounds, folded with the cell of its node.
 
     With ``logarithmic`` the bins are those of the logarithm.
     """
-    if middle - 4.0 * sigma < least or middle + 4.0 * sigma > most:
-        left, right = max(middle - 4.0 * sigma, least), min(middle + 4.0 * sigma, most)
-        if left > most - 4.0 * sigma and not left < right:
-            left = max(most - 4.0 * sigma, least)
+    if middle - _CUT * sigma < least or middle + _CUT * sigma > most:
+        left, right = max(middle - _FAR * sigma, least), min(middle + _FAR * sigma, most)
+        if left > most - _FAR * sigma and not left < right:
+            left = max(most - _FAR * sigma, least)
         if not left < right:  # far beyond a bound: what is left falls off within a small part of sigma
             reach = sigma * sigma / max(abs(least - middle), abs(middle - most), sigma)
             if middle < least:
@@ -215,17 +256,65 @@ def add_gaussian(
             bins, low, fineness, max(middle - reach, least), min(middle + reach, most), logarithmic, mass
         )
         return
-    # three even pieces that together have the variance and nearly the 90 % interval of a Gaussian
-    wide = math.sqrt((0.65 * sigma) ** 2 + half * half)
-    for way in (-1.0, 0.0, 1.0):
-        there = middle + way * 1.3 * sigma
-        part = mass * (0.5 if way == 0.0 else 0.25)
+    # a triangle of the same variance has a 90 % interval 2 % wider than a Gaussian
+    span = _SPAN * math.sqrt(sigma * sigma + half * half / 3.0)
+    left, right = max(middle - span, _LEAST_SHARE * middle if logarithmic else least), middle + span
+    x0 = _bin_of(left, low, fineness, logarithmic)
+    x1 = _bin_of(middle, low, fineness, logarithmic)
+    x2 = _bin_of(right, low, fineness, logarithmic)
+    if x0 < 1.0 or x2 > bins.shape[1] - 2.0 or min(x1 - x0, x2 - x1) < _NARROW:
+        reach = math.sqrt(half * half + 3.0 * sigma * sigma)
         _add_even(
-            bins,
-            low,
-            fineness,
-            max(there - wide, least),
-            max(min(there + wide, most), least),
-            logarithmic,
-            part,
+            bins, low, fineness, max(middle - reach, least), min(middle + reach, most), logarithmic, mass
         )
+        return
+    height = 2.0 * mass / (x2 - x0)
+    up, down = height / (x1 - x0), height / (x2 - x1)
+    _bend_at(bins, x0, up)
+    _bend_at(bins, x1, -up - down)
+    _bend_at(bins, x2, down)
+
+
+@inlined
+def joins(group: Group, middle: float, sigma: float) -> bool:
+    """Return whether a Gaussian may join a group."""
+    return group.mass == 0.0 or abs(middle - group.first) <= min(group.reach, _ALIKE * sigma)
+
+
+@inlined
+def joined(group: Group, middle: float, half: float, sigma: float, limit: float, mass: float) -> Group:
+    """Return a group with one more Gaussian."""
+    first, reach = (middle, _ALIKE * sigma) if group.mass == 0.0 else (group.first, group.reach)
+    away = middle - first
+    return Group(
+        group.mass + mass,
+        first,
+        group.sum + mass * away,
+        group.square + mass * away * away,
+        group.variance + mass * sigma * sigma,
+        group.half + mass * half,
+        group.limit + mass * limit,
+        reach,
+    )
+
+
+@inlined
+def add_group(
+    bins: _Floats, low: float, fineness: float, group: Group, least: float, logarithmic: bool
+) -> None:
+    """Add a group between its bounds: a Gaussian of its mean and variance."""
+    if group.mass == 0.0:
+        return
+    mean, per = group.sum / group.mass, 1.0 / group.mass
+    add_gaussian(
+        bins,
+        low,
+        fineness,
+        group.first + mean,
+        per * group.half,
+        math.sqrt(per * group.variance + max(per * group.square - mean * mean, 0.0)),
+        least,
+        per * group.limit,
+        logarithmic,
+        group.mass,
+    )

@@ -22,10 +22,14 @@ from overtone.inversion.apart import apart, gap_range, has_reach
 from overtone.inversion.columns import Columns, adhesive
 from overtone.inversion.histogram import (
     LEVELS,
+    Group,
     add_gaussian,
+    add_group,
     fill_quantiles,
+    gauss_between,
     gauss_mass,
-    gauss_moments,
+    joined,
+    joins,
     smear,
     spread_over,
     sum_steps,
@@ -78,6 +82,7 @@ _ALONE = 0.2  # of them, that one pass leaves: about the difference, times its s
 _DECADES = 8.0  # of S tan(delta), below its largest
 
 
+_EMPTY = Group(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 _GAUSS = gauss_rule(6)
 _WIDEST = max(_MOST_ACROSS, 5 * _MOST_PIECES * 6)
 _LOG_ROOT_2PI = 0.5 * math.log(2.0 * math.pi)
@@ -267,7 +272,7 @@ def posterior_pixels(
     grid = new_grid()
     bends, across = np.empty(5), np.empty((2, _WIDEST))
     along = np.empty(grid.t.shape[0])
-    bins, work = np.empty((2, _BINS)), np.empty(_BINS)
+    bins, work = np.empty((3, _BINS)), np.empty(_BINS)
     root_F = math.sqrt(prior.adhesion_precision)
     if root_F > 0.0:
         s.wb[rows], s.first[rows] = root_F, root_F * prior.adhesion_mean
@@ -316,7 +321,7 @@ def posterior_pixels(
         pixel = pixel_at(columns, A, table, slot, share, orders, lossy, W, box)
         # where the bare cosine puts the valley, and what the harmonics of the motion make of it
         whiten(W, y[i], bare.first)
-        count, least, best_t = find_stretches(pixel, bare, bounded, bottom, top, ends, cores)
+        count, least, best_t = find_stretches(pixel, bare, bounded, bottom, top, places == 0, ends, cores)
         if places > 0:
             out[:] = 0.0
             s.shifts[:] = 0.0
@@ -341,7 +346,7 @@ def posterior_pixels(
                         if whole_size * whole_size < _ALONE * size or change < _SMALL:
                             break
                     s.shifts[j, rows] = 0.0
-                count, least, best_t = find_stretches(pixel, s, bounded, bottom, top, ends, cores)
+                count, least, best_t = find_stretches(pixel, s, bounded, bottom, top, True, ends, cores)
                 if ends[0, 0] >= low and ends[count - 1, 1] <= high:
                     break
         nodes, total, most = 0, 0.0, 0.0
@@ -401,16 +406,14 @@ def posterior_pixels(
                     away = S - m.S
                     exponent = -0.5 * (m.rest + m.alpha2 * away * away - least)
                     F, c, spread_c, mass, shift = 0.0, 0.0, 0.0, 1.0, 0.0
+                    typical, spread_F = 0.0, 0.0
                     if m.beta2 > 0.0:
                         F = m.F0 + m.F1 * S
-                        mass, more = gauss_mass(prior.adhesion_low, prior.adhesion_high, F, sigma_F)
+                        mass, more, typical, spread_F = gauss_between(
+                            prior.adhesion_low, prior.adhesion_high, F, sigma_F
+                        )
                         exponent += more
                     if m.gamma2 > 0.0:
-                        typical, spread_F = F, 0.0
-                        if m.beta2 > 0.0:
-                            typical, spread_F = gauss_moments(
-                                prior.adhesion_low, prior.adhesion_high, F, sigma_F
-                            )
                         c = m.c0 + m.c1 * S + m.c2 * typical
                         spread_c = math.sqrt(1.0 / m.gamma2 + m.c2 * m.c2 * spread_F * spread_F)
                         part, more = gauss_mass(0.0, prior.tangent_high * S, c, spread_c)
@@ -503,6 +506,7 @@ def posterior_pixels(
         for q in range(QUANTITIES):
             if q == INDENTATION_ or (q == ADHESION_ and not sticky) or (q >= LOSS_ and not loss):
                 continue
+            least_q = prior.adhesion_low if q == ADHESION_ else 0.0
             more = 4.0 * math.sqrt(variance_E) + 1e-9 + 0.02 * (x_high - x_low)
             low, high = x_low - more, x_high + more
             if q == ADHESION_:
@@ -521,20 +525,16 @@ def posterior_pixels(
                 continue
             fineness = 1.0 / width
             bins[:] = 0.0
+            values = grid.x if q == MODULUS_ else grid.F if q == ADHESION_ else grid.c
             for j in range(nodes):
                 same = grid.members[j]
                 ahead = j + 1 < nodes and grid.members[j + 1] == same
                 back = j > 0 and grid.members[j - 1] == same
+                together = _EMPTY
                 for k in range(same):
                     weight = grid.weight[j, k]
                     if not weight > _NEGLIGIBLE * most:
                         continue
-                    if q == MODULUS_:
-                        values = grid.x
-                    elif q == ADHESION_:
-                        values = grid.F
-                    else:
-                        values = grid.c
                     # half of the way to the next node along the valley, at the same place across it
                     middle, half = values[j, k], 0.0
                     if ahead:
@@ -546,22 +546,17 @@ def posterior_pixels(
                     if q == MODULUS_:
                         spread_over(bins, low, fineness, middle - half, middle + half, weight)
                         continue
-                    factor_q = 1.0
-                    if q == ADHESION_:
-                        sigma, least_q, most_q = grid.F_spread[j], prior.adhesion_low, prior.adhesion_high
-                    else:
-                        sigma, least_q, most_q = grid.c_spread[j, k], 0.0, prior.tangent_high * grid.S[j, k]
+                    sigma, limit, factor_q = grid.F_spread[j], prior.adhesion_high, 1.0
+                    if q != ADHESION_:
+                        sigma, limit = grid.c_spread[j, k], prior.tangent_high * grid.S[j, k]
                         half = min(half, 2.0 * sigma)
-                        if q == TANGENT_:
-                            S = grid.S[j, k]
-                            factor_q = 1.0 / S
-                        else:
-                            factor_q = math.exp(grid.shift[j, k])
-                        middle, half, sigma = factor_q * middle, factor_q * half, factor_q * sigma
-                        most_q = factor_q * most_q if q == LOSS_ else prior.tangent_high
-                    add_gaussian(
-                        bins, low, fineness, middle, half, sigma, least_q, most_q, q == LOSS_, weight
-                    )
+                        factor_q = 1.0 / grid.S[j, k] if q == TANGENT_ else math.exp(grid.shift[j, k])
+                    middle, half, sigma = factor_q * middle, factor_q * half, factor_q * sigma
+                    if not joins(together, middle, sigma):
+                        add_group(bins, low, fineness, together, least_q, q == LOSS_)
+                        together = _EMPTY
+                    together = joined(together, middle, half, sigma, factor_q * limit, weight)
+                add_group(bins, low, fineness, together, least_q, q == LOSS_)
             histogram = sum_steps(bins)
             of_radius = variance_E if q == MODULUS_ else variance_R if q == LOSS_ else 0.0
             if of_radius > (0.3 * width) ** 2:
