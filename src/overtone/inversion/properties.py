@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 
 import numpy as np
 import xarray as xr
@@ -234,31 +236,32 @@ def map_properties(
             Candidate.of(r, c, setting, complete_priors(alone, r, probe.tip.radius), probe, known)
             for r, c in zip(records, columns, strict=True)
         )
-        map_posteriors(
-            setting,
-            candidates,
-            probe,
-            sheet,
-            full_motion=motion == "full",
-            progress=progress,
-            parts=method != POPULATION,
+        single = partial(
+            map_posteriors, setting, candidates, probe, sheet, full_motion=motion == "full", progress=progress
         )
-        if method == POPULATION:
-            from overtone.population.population import Request, pool_scan
+        if method != POPULATION:
+            single()
+        else:
+            from overtone.population.population import Request, find_materials, pool_scan
 
             of_all = shared_priors(priors, candidates[0].priors, probe.tip.radius)
-            materials = pool_scan(
-                settings,
-                scans,
-                columns[0],
-                of_all,
-                probe,
-                candidates[0].exponent,
-                Request(phases, reference, reference_pixels, seed),
-                sheet,
-                full_motion=motion == "full",
-                progress=progress,
-            )
+            # neither needs the other, and together they leave no core idle
+            with ThreadPoolExecutor(1) as thread:
+                waiting = thread.submit(
+                    find_materials,
+                    settings,
+                    scans,
+                    columns[0],
+                    of_all,
+                    probe,
+                    candidates[0].exponent,
+                    Request(phases, reference, reference_pixels, seed),
+                    full_motion=motion == "full",
+                )
+                single(parts=False)
+            found = waiting.result()
+            pool_scan(found, sheet, progress)
+            materials = found.table
         together = {name: prior for c in candidates for name, prior in c.priors.items()}
         stated = {"priors": format_priors(together)}
     reading = reading_of(observables)

@@ -22,7 +22,7 @@ QUANTILES = (0.05, 0.5, 0.95)
 _REACH, _FINENESS = 8.0, 256
 _NORMAL = np.asarray(ndtr(np.arange(-_REACH * _FINENESS, _REACH * _FINENESS + 2) / _FINENESS), dtype=float)
 _HALVINGS = 60
-_BENDS = 4  # times that the bend is taken off
+_BENDS = 3  # times that the bend is taken off
 _FARTHEST = 2.0  # of ln of a property from the median of its phase
 _CLOSE = 1e-4  # of the spread of a mixture
 
@@ -88,8 +88,18 @@ def pool(
     properties = mixture.gain.shape[1]
     middles, per_spread = np.empty((quantities, draws)), 1.0 / mixture.spread.T
     of_one = np.searchsorted(_NORMAL, levels) / _FINENESS - _REACH  # quantiles of a normal distribution
-    rest, straight, theta = np.empty(data), np.empty(data), np.empty(properties)
-    squares = np.empty((3, 3))
+    rest, straight, theta = np.empty(data), np.empty(properties), np.empty(properties)
+    # what the squares of the properties, and the products of two, take off each of them
+    bent, products = np.zeros((draws, properties, 6)), np.empty(6)
+    for s in range(draws):
+        for a in range(properties):
+            for r in range(data):
+                pair = 0
+                for b in range(3):
+                    for c in range(b + 1):
+                        share = 0.5 if b == c else 1.0
+                        bent[s, a, pair] += share * mixture.gain[s, a, r] * mixture.curvature[s, r, b, c]
+                        pair += 1
     for i in range(y.shape[0]):
         for s in range(draws):
             for r in range(data):
@@ -97,25 +107,23 @@ def pool(
                 for j in range(3):
                     off -= place[i, j] * mixture.tilt[s, j, r]
                 rest[r] = off
-                straight[r] = off
-            for bend in range(_BENDS):
-                for a in range(properties):
-                    value = 0.0
-                    for r in range(data):
-                        value += mixture.gain[s, a, r] * straight[r]
-                    theta[a] = min(max(value, -_FARTHEST), _FARTHEST)
-                if bend == _BENDS - 1:
-                    break
-                # what the curve of the harmonics adds to the straight line
-                for a in range(3):
-                    for b in range(3):
-                        squares[a, b] = 0.5 * theta[a] * theta[b]
+            for a in range(properties):
+                value = 0.0
                 for r in range(data):
-                    added = 0.0
-                    for a in range(3):
-                        for b in range(3):
-                            added += mixture.curvature[s, r, a, b] * squares[a, b]
-                    straight[r] = rest[r] - added
+                    value += mixture.gain[s, a, r] * rest[r]
+                straight[a] = value
+                theta[a] = min(max(value, -_FARTHEST), _FARTHEST)
+            for _ in range(_BENDS):
+                pair = 0
+                for b in range(3):
+                    for c in range(b + 1):
+                        products[pair] = theta[b] * theta[c]
+                        pair += 1
+                for a in range(properties):
+                    value = straight[a]
+                    for pair in range(6):
+                        value -= bent[s, a, pair] * products[pair]
+                    theta[a] = min(max(value, -_FARTHEST), _FARTHEST)
             for q in range(quantities):
                 m = mixture.base[s, q]
                 for a in range(properties):

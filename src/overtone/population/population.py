@@ -106,7 +106,47 @@ def split_scans(observables: xr.Dataset) -> list[xr.Dataset]:
     return scans
 
 
-def pool_scan(
+@dataclass(frozen=True)
+class Found:
+    """What the pixels of a scan share, before any of them is told of it.
+
+    Parameters
+    ----------
+    settings : sequence of Setting
+        Scans of one area.
+    data : Harvest
+        Their forces.
+    question : Question
+        Model, harmonics, lever, priors.
+    exponent : float
+        Change of ln of the elastic unknown with ln R at a given force.
+    seed : int
+        Of the draws.
+    phases : Phases
+        Which pixel belongs to which.
+    names : sequence of str
+        Of the phases.
+    members : sequence of array
+        Pixels of each phase.
+    materials : sequence of Material
+        Of each phase.
+    table : Materials
+        Of all of them.
+    """
+
+    settings: Sequence[Setting]
+    data: Harvest
+    question: Question
+    exponent: float
+    seed: int
+    phases: Phases
+    names: Sequence[str]
+    members: Sequence[_Indices]
+    materials: Sequence[Material]
+    table: Materials
+
+
+def find_materials(
     settings: Sequence[Setting],
     scans: Sequence[xr.Dataset],
     columns: Columns,
@@ -114,12 +154,10 @@ def pool_scan(
     probe: Probe,
     exponent: float,
     request: Request,
-    sheet: Sheet,
     *,
     full_motion: bool,
-    progress: Callable[[int, int], None] | None,
-) -> Materials:
-    """Sharpen the posteriors of a sheet by what the pixels of its phases share; return the materials.
+) -> Found:
+    """Return the phases of a scan and the joint posterior of their materials.
 
     Parameters
     ----------
@@ -131,12 +169,8 @@ def pool_scan(
         Change of ln of the elastic unknown with ln R at a given force.
     request : Request
         Phases and reference.
-    sheet : Sheet
-        With the posterior of every pixel; what is pooled is replaced, what it was kept as ``<name>_unpooled``.
     full_motion : bool
         Whether the harmonics of the motion count.
-    progress : callable, optional
-        Called with (pixels done, pixels in all).
     """
     like = scans[0]["A1"]
     data = harvest(settings)
@@ -148,20 +182,8 @@ def pool_scan(
         for_kernel(priors, next(iter(priors))),
         even="adhesion" in priors and priors["adhesion"].kind in (LOG_RANGE, LOG_NORMAL),
     )
-    names = quantities_of(question)
-    for name in names:
-        for variant in ("", "_lower", "_upper"):
-            source = f"{name}_unscreened" if not variant else f"{name}{variant}"
-            sheet.values[f"{name}_unpooled{variant}"] = sheet.values[source].copy()
-    if setting.shared is not None:
-        sheet.add("uncertainty_statistical", "uncertainty_systematic")
-    sheet.add("shrinkage", fill=0.0)
-    sheet.add("phase", fill=NONE, dtype="int8")
-    sheet.add("phase_probability", fill=0.0)
     found = _phases(request, like, data)
     label = found.label.ravel()
-    sheet.values["phase"][:] = label
-    sheet.values["phase_probability"][:] = found.probability.ravel()
     members = [np.flatnonzero((label == k) & data.usable) for k in range(found.count)]
     calibration = setting.shared.calibration if setting.shared is not None else None
     which, known, anchored = _reference(
@@ -188,18 +210,7 @@ def pool_scan(
         materials.append(
             Material(k, len(members[k]), int(found.domains[k]), not merged, k == which, joint, place)
         )
-    for material in materials:
-        if material.joint is None or not material.resolved:
-            continue
-        pixels = members[material.index]
-        _pool_phase(
-            settings, data, question, material, pixels, exponent, request.seed, sheet, names, progress
-        )
-    sheet.attributes["phase"] = {
-        "flag_values": [NONE, *range(found.count)],
-        "flag_meanings": " ".join(["none", *called]),
-    }
-    return materials_of(
+    table = materials_of(
         materials,
         called,
         question,
@@ -211,6 +222,40 @@ def pool_scan(
         calibration is not None,
         laws_of(materials, question, exponent, called),
     )
+    return Found(settings, data, question, exponent, request.seed, found, called, members, materials, table)
+
+
+def pool_scan(found: Found, sheet: Sheet, progress: Callable[[int, int], None] | None) -> None:
+    """Sharpen the posteriors of a sheet by what the pixels of its phases share.
+
+    Parameters
+    ----------
+    found : Found
+        Phases and materials.
+    sheet : Sheet
+        With the posterior of every pixel; what is pooled is replaced, what it was kept as ``<name>_unpooled``.
+    progress : callable, optional
+        Called with (pixels done, pixels in all).
+    """
+    names = quantities_of(found.question)
+    for name in names:
+        for variant in ("", "_lower", "_upper"):
+            source = f"{name}_unscreened" if not variant else f"{name}{variant}"
+            sheet.values[f"{name}_unpooled{variant}"] = sheet.values[source].copy()
+    if found.settings[0].shared is not None:
+        sheet.add("uncertainty_statistical", "uncertainty_systematic")
+    sheet.add("shrinkage", fill=0.0)
+    sheet.add("phase", fill=NONE, dtype="int8")
+    sheet.add("phase_probability", fill=0.0)
+    sheet.values["phase"][:] = found.phases.label.ravel()
+    sheet.values["phase_probability"][:] = found.phases.probability.ravel()
+    for material in found.materials:
+        if material.joint is not None and material.resolved:
+            _pool_phase(found, material, names, sheet, progress)
+    sheet.attributes["phase"] = {
+        "flag_values": [NONE, *range(len(found.names))],
+        "flag_meanings": " ".join(["none", *found.names]),
+    }
 
 
 def _inferred(
@@ -391,25 +436,28 @@ def _wanders(joint: Joint, place: int) -> float:
 
 
 def _pool_phase(
-    settings: Sequence[Setting],
-    data: Harvest,
-    question: Question,
+    found: Found,
     material: Material,
-    pixels: _Indices,
-    exponent: float,
-    seed: int,
-    sheet: Sheet,
     names: tuple[str, ...],
+    sheet: Sheet,
     progress: Callable[[int, int], None] | None,
 ) -> None:
     """Replace the answers of the pixels of a phase."""
     from scipy.stats import chi2
 
+    settings, data, pixels = found.settings, found.data, found.members[material.index]
     joint, k = material.joint, material.place
     assert joint is not None
     tiles, unit = joint.tiles[k], joint.evidence.unit
     mixture, precision = mixture_of(
-        settings, question, joint, k, tilts(settings, tiles, pixels), data.noise, exponent, seed
+        settings,
+        found.question,
+        joint,
+        k,
+        tilts(settings, tiles, pixels),
+        data.noise,
+        found.exponent,
+        found.seed,
     )
     y = (data.y[pixels] - (data.amplitude[pixels] - tiles.amplitude) @ tiles.slope.T) / unit
     shared = settings[0].shared

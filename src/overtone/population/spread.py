@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -62,16 +63,20 @@ def spread_of(
     n = max(pixels * _FREEDOM_LOST, min(pixels, 20))
     centre, width = math.log(TYPICAL), math.log(FACTOR)
 
-    def cost(log_s: _Floats) -> float:
-        V = N + (J * np.exp(2.0 * log_s)) @ J.T
+    def cost(log_s: _Floats) -> tuple[float, _Floats]:
+        """Return minus ln of the density, and its slope."""
+        s2 = np.exp(2.0 * log_s)
+        V = N + (J * s2) @ J.T
         _, log_det = np.linalg.slogdet(V)
-        return float(
-            0.5 * n * (log_det + np.trace(np.linalg.solve(V, R)))
-            + 0.5 * (((log_s - centre) / width) ** 2).sum()
-        )
+        P = np.linalg.inv(V)
+        PR, PJ = P @ R, P @ J
+        away = (log_s - centre) / width
+        value = 0.5 * n * (log_det + np.trace(PR)) + 0.5 * (away**2).sum()
+        slope = n * s2 * ((J * PJ).sum(axis=0) - (PJ * (R @ PJ)).sum(axis=0)) + away / width
+        return float(value), slope
 
     bounds = [(math.log(_LEAST), math.log(_MOST))] * names.size
-    found = minimize(cost, np.full(names.size, centre), method="L-BFGS-B", bounds=bounds)
+    found = minimize(cost, np.full(names.size, centre), method="TNC", bounds=bounds, jac=True)
     log_s = found.x
     hessian = _hessian(cost, log_s)
     values, vectors = np.linalg.eigh(hessian)
@@ -83,16 +88,7 @@ def spread_of(
     return Spread(value, error, full)
 
 
-def _hessian(cost, at: _Floats, step: float = 0.05) -> _Floats:  # type: ignore[no-untyped-def]
-    size = at.size
-    H = np.empty((size, size))
-    steps = step * np.eye(size)
-    for i in range(size):
-        for j in range(i + 1):
-            H[i, j] = H[j, i] = (
-                cost(at + steps[i] + steps[j])
-                - cost(at + steps[i] - steps[j])
-                - cost(at - steps[i] + steps[j])
-                + cost(at - steps[i] - steps[j])
-            ) / (4.0 * step**2)
-    return H
+def _hessian(cost: Callable[[_Floats], tuple[float, _Floats]], at: _Floats, step: float = 0.05) -> _Floats:
+    steps = step * np.eye(at.size)
+    H = np.stack([(cost(at + one)[1] - cost(at - one)[1]) / (2.0 * step) for one in steps])
+    return np.asarray(0.5 * (H + H.T))
