@@ -28,8 +28,7 @@ from overtone.instrument.state import State, drifting
 from overtone.instrument.unknowns import (
     HIGHER,
     LEVER,
-    distortion_basis,
-    distortion_of,
+    distortion,
     probe_with,
     undo,
     wrapped,
@@ -192,7 +191,7 @@ def _correct_curve(curve: xr.Dataset, calibration: Calibration) -> xr.Dataset:
     read = signals_of(curve)
     if parts.signals.mean is not None:
         first = parts.signals.phasor[1][parts.far]
-        added = (distortion_basis(first, 0, calibration.amplitude) @ distortion_of(values, 0)).real
+        added = distortion(first, 0, calibration.amplitude, values).real
         slope = values["A0_slope_z"] * (parts.height[parts.far] - parts.onset)
         rest = parts.signals.mean[parts.far] - added - slope
         values["A0_offset"] = float(np.mean(rest))

@@ -141,6 +141,16 @@ def distortion_of(values: Mapping[str, float], n: int) -> _Complex:
     )
 
 
+def distortion(first: _Complex, n: int, reference: float, values: Mapping[str, float]) -> _Complex:
+    """Return what the distortion adds to a harmonic [m]; arguments as of `distortion_basis` and `distortion_of`."""
+    scaled = first / reference
+    u = np.abs(scaled) ** 2
+    total = np.zeros_like(scaled)
+    for coefficient in distortion_of(values, n)[::-1]:
+        total = total * u + coefficient
+    return np.asarray(total * (scaled**n if n else u))
+
+
 def crosstalk_of(values: Mapping[str, float], n: int) -> complex:
     """Return d_n [m]."""
     return complex(values[f"crosstalk{n}_re"], values[f"crosstalk{n}_im"])
@@ -183,13 +193,13 @@ def undo(
     higher: dict[int, _Complex] = {}
     for n, a in read.phasor.items():
         if n in HIGHER:
-            added = distortion_basis(first, n, reference) @ distortion_of(values, n) + crosstalk_of(values, n)
+            added = distortion(first, n, reference, values) + crosstalk_of(values, n)
             higher[n] = (a - added) * np.exp(1j * values[f"latency{n}"]) / values[f"gain{n}"]
     mean = moved = None
     if read.mean is not None:
         slopes = values["A0_slope_z"] * np.asarray(height)
         slopes = slopes + values["A0_slope_x"] * np.asarray(x) + values["A0_slope_y"] * np.asarray(y)
-        bowed = (distortion_basis(first, 0, reference) @ distortion_of(values, 0)).real
+        bowed = distortion(first, 0, reference, values).real
         # all that moved the spot; the electronics come behind the detector
         moved = (read.mean - values["A0_offset"] - bowed) / weakened / gain
         # slopes are quoted as read at A_ref, where they were measured

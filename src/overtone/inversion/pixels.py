@@ -188,7 +188,8 @@ class Setting:
             changes, of_radius = self.changes(self.shared, block, h.turn)
             of_noise, W = W, np.empty_like(W)
             row_block(f, np.concatenate([errors, changes], axis=-1), self.rows, y, W, usable)
-            along = np.einsum("pij,pj->pi", W, in_rows(changes, self.rows) @ of_radius)
+            moved = np.einsum("pjs,s->pj", in_rows(changes, self.rows), of_radius)
+            along = np.einsum("pij,pj->pi", W, moved)
             # a residual says which way the shared errors went, and with them the radius
             pull = -exponent * along
             left = np.maximum(exponent**2 * ((of_radius**2).sum() - (along**2).sum(axis=1)), 0.0)

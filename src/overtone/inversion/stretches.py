@@ -151,9 +151,7 @@ def find_stretches(
         for side in range(2):
             limit = bottom if side == 0 else top
             up = side == 1
-            ends[count, side] = _edge(
-                pixel, s, bounded, where[j], depth[j], least, REACH, limit, up, closely
-            )
+            ends[count, side] = _edge(pixel, s, bounded, where[j], depth[j], least, REACH, limit, up, closely)
             if closely:
                 cores[count, side] = _edge(
                     pixel, s, bounded, where[j], depth[j], depth[j], _CORE, limit, up, closely
