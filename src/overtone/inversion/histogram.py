@@ -20,11 +20,17 @@ how much these steps grow."""
 _PIECES = 6  # of a Gaussian that a bound cuts
 _CUT = 2.45  # standard deviations from a bound within which it is cut: as far as the pieces of one that is not reach
 _FAR = 3.3  # of them, beyond which nothing of one that is cut counts
+_OCTAVES = 4  # in which the piece next to zero is told apart in bins of the logarithm
 _LEAST_SHARE = 1e-3  # of the upper end of a piece, at which it ends in bins of the logarithm
 _NARROW = 4.0  # bins, from which on a slope is one
+_ROOT_2, _LOG_2 = math.sqrt(2.0), math.log(2.0)
+_STRAIGHT = 0.3  # of a value, over which its logarithm is nearly a straight line
 _SPAN = math.sqrt(6.0)  # half of the base of a triangle of standard deviation 1
-_REACH, _FINENESS = 6.0, 64
-_ABOVE = np.array([0.5 * math.erfc((k / _FINENESS - _REACH) / math.sqrt(2.0)) for k in range(2 * 6 * 64 + 2)])
+_REACH, _FINENESS = 6.0, 256
+_ABOVE = np.array(
+    [0.5 * math.erfc((k / _FINENESS - _REACH) / math.sqrt(2.0)) for k in range(2 * 6 * 256 + 2)]
+)
+_CLOSE = 2.0  # standard deviations between two bounds, below which no table will do
 _ALIKE = 1.0  # of its standard deviation, over which the middles of Gaussians reach that are added as one
 
 
@@ -46,7 +52,7 @@ class Group(NamedTuple):
 
 @inlined
 def _above(x: float) -> float:
-    """Return what a normal distribution has above a value between -6 and 6; to 1e-5, and beyond 5 to 1e-3 of it."""
+    """Return what a normal distribution has above a value between -6 and 6; to 1e-6, and to 1e-4 of it."""
     place = (x + _REACH) * _FINENESS
     k = int(place)
     return _ABOVE[k] + (place - k) * (_ABOVE[k + 1] - _ABOVE[k])
@@ -60,6 +66,8 @@ def gauss_mass(low: float, high: float, mean: float, sigma: float) -> tuple[floa
         far = max(a, -b)
         tail = 1.0 / (far * far)
         return 0.3989422804014327 / far * (1.0 - tail * (1.0 - 3.0 * tail)), -0.5 * far * far
+    if b - a < _CLOSE:  # the difference of what is nearly the same
+        return 0.5 * (math.erfc(a / _ROOT_2) - math.erfc(b / _ROOT_2)), 0.0
     return (_above(a) if a > -_REACH else 1.0) - (_above(b) if b < _REACH else 0.0), 0.0
 
 
@@ -210,9 +218,22 @@ def _add_pieces(
         total += h
         h *= g
         g *= bend
-    start = max(left, _LEAST_SHARE * (left + piece), 1e-300) if logarithmic else left
-    x0, h, g = _bin_of(start, low, fineness, logarithmic), mass / total * height, growth
-    for j in range(_PIECES):
+    h, g = mass / total * height, growth
+    x0 = _bin_of(max(left, 1e-300), low, fineness, True) if logarithmic else (left - low) * fineness
+    first_piece = 0
+    if logarithmic and left < 0.25 * (left + piece):
+        # even between zero and its end: half of it in the last octave, half of the rest in the one before
+        x0 = _bin_of(left + piece, low, fineness, True)
+        rest, x1 = h, x0
+        for _ in range(_OCTAVES):
+            rest *= 0.5
+            _spread_between(bins, x1 - _LOG_2 * fineness, x1, rest)
+            x1 -= _LOG_2 * fineness
+        _spread_between(bins, x1 - _LOG_2 * fineness, x1, rest)
+        h *= g
+        g *= bend
+        first_piece = 1
+    for j in range(first_piece, _PIECES):
         x1 = _bin_of(left + (j + 1) * piece, low, fineness, logarithmic)
         _spread_between(bins, x0, x1, h)
         x0 = x1
@@ -239,14 +260,11 @@ def add_gaussian(
     """
     if middle - _CUT * sigma < least or middle + _CUT * sigma > most:
         left, right = max(middle - _FAR * sigma, least), min(middle + _FAR * sigma, most)
-        if left > most - _FAR * sigma and not left < right:
-            left = max(most - _FAR * sigma, least)
-        if not left < right:  # far beyond a bound: what is left falls off within a small part of sigma
-            reach = sigma * sigma / max(abs(least - middle), abs(middle - most), sigma)
-            if middle < least:
-                left, right = least, min(least + 3.0 * reach, most)
-            else:
-                left, right = max(most - 3.0 * reach, least), most
+        # the farther a bound is beyond the middle, the faster falls off what it leaves
+        if middle < least:
+            left, right = least, min(least + 6.5 * sigma / ((least - middle) / sigma + 1.9), most)
+        elif middle > most:
+            left, right = max(most - 6.5 * sigma / ((middle - most) / sigma + 1.9), least), most
         _add_pieces(bins, low, fineness, left, right, middle, sigma, logarithmic, mass)
         return
     scale = max(abs(middle), 1e-300) if logarithmic else 1.0
@@ -256,23 +274,28 @@ def add_gaussian(
             bins, low, fineness, max(middle - reach, least), min(middle + reach, most), logarithmic, mass
         )
         return
-    # a triangle of the same variance has a 90 % interval 2 % wider than a Gaussian
     span = _SPAN * math.sqrt(sigma * sigma + half * half / 3.0)
-    left, right = max(middle - span, _LEAST_SHARE * middle if logarithmic else least), middle + span
-    x0 = _bin_of(left, low, fineness, logarithmic)
-    x1 = _bin_of(middle, low, fineness, logarithmic)
-    x2 = _bin_of(right, low, fineness, logarithmic)
-    if x0 < 1.0 or x2 > bins.shape[1] - 2.0 or min(x1 - x0, x2 - x1) < _NARROW:
-        reach = math.sqrt(half * half + 3.0 * sigma * sigma)
-        _add_even(
-            bins, low, fineness, max(middle - reach, least), min(middle + reach, most), logarithmic, mass
-        )
+    if logarithmic and span > _STRAIGHT * middle:
+        # three even pieces that together have the variance and nearly the 90 % interval of a Gaussian
+        wide = math.sqrt((0.65 * sigma) ** 2 + half * half)
+        for way in (-1.0, 0.0, 1.0):
+            there = middle + way * 1.3 * sigma
+            left, right = max(there - wide, least), max(min(there + wide, most), least)
+            part = mass * (0.5 if way == 0.0 else 0.25)
+            _add_even(bins, low, fineness, left, right, True, part)
         return
-    height = 2.0 * mass / (x2 - x0)
-    up, down = height / (x1 - x0), height / (x2 - x1)
-    _bend_at(bins, x0, up)
-    _bend_at(bins, x1, -up - down)
-    _bend_at(bins, x2, down)
+    # a triangle of the same variance, whose 90 % interval is 2 % wider
+    x = _bin_of(middle, low, fineness, logarithmic)
+    wide = span * fineness / (middle if logarithmic else 1.0)
+    if x - wide < 1.0 or x + wide > bins.shape[1] - 2.0 or wide < _NARROW:
+        reach = math.sqrt(half * half + 3.0 * sigma * sigma)
+        left, right = max(middle - reach, least), min(middle + reach, most)
+        _add_even(bins, low, fineness, left, right, logarithmic, mass)
+        return
+    slope = mass / (wide * wide)
+    _bend_at(bins, x - wide, slope)
+    _bend_at(bins, x, -2.0 * slope)
+    _bend_at(bins, x + wide, slope)
 
 
 @inlined

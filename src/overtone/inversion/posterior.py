@@ -530,7 +530,7 @@ def posterior_pixels(
                 same = grid.members[j]
                 ahead = j + 1 < nodes and grid.members[j + 1] == same
                 back = j > 0 and grid.members[j - 1] == same
-                together = _EMPTY
+                alike = _EMPTY
                 for k in range(same):
                     weight = grid.weight[j, k]
                     if not weight > _NEGLIGIBLE * most:
@@ -552,11 +552,11 @@ def posterior_pixels(
                         half = min(half, 2.0 * sigma)
                         factor_q = 1.0 / grid.S[j, k] if q == TANGENT_ else math.exp(grid.shift[j, k])
                     middle, half, sigma = factor_q * middle, factor_q * half, factor_q * sigma
-                    if not joins(together, middle, sigma):
-                        add_group(bins, low, fineness, together, least_q, q == LOSS_)
-                        together = _EMPTY
-                    together = joined(together, middle, half, sigma, factor_q * limit, weight)
-                add_group(bins, low, fineness, together, least_q, q == LOSS_)
+                    if not joins(alike, middle, sigma):
+                        add_group(bins, low, fineness, alike, least_q, q == LOSS_)
+                        alike = _EMPTY
+                    alike = joined(alike, middle, half, sigma, factor_q * limit, weight)
+                add_group(bins, low, fineness, alike, least_q, q == LOSS_)
             histogram = sum_steps(bins)
             of_radius = variance_E if q == MODULUS_ else variance_R if q == LOSS_ else 0.0
             if of_radius > (0.3 * width) ** 2:
