@@ -16,10 +16,11 @@ import numpy.typing as npt
 from overtone.inversion.columns import WORK_ROWS, Columns, adhesive, fill_columns
 from overtone.inversion.exact import C_, DELTA_, F_, S_
 from overtone.inversion.linear import stiffness
-from overtone.inversion.motion import Followed, Room, difference_of, new_room
+from overtone.inversion.motion import Followed, Room, new_room
 from overtone.inversion.posterior import Prior
 from overtone.inversion.table import DEEPEST, SHALLOWEST
 from overtone.kernels import inner, kernel, lean
+from overtone.population.answer import Answer, add_changes, differentiate, new_answer, renew
 
 _Floats = npt.NDArray[np.float64]
 _Complex = npt.NDArray[np.complex128]
@@ -31,9 +32,8 @@ of each scan. What a model lacks stays as it is."""
 BY_MODULUS = 3
 """Where the derivative by ln E stands among those of a row."""
 
-_PASSES, _TO_REST = 2, 6  # of the motion, from one at rest beside it, and from any at most
-_AT_REST = 1e-8  # units of force: a millionth of that in a slope
-_NUDGES = 0.01  # steps of a derivative
+_TO_REST = 6  # passes of the motion at most
+_AT_REST = 1e-7  # units of force
 _OPEN = 0.2
 """Curvature of ln of what may vanish, at least: no step is longer than a factor of e or two."""
 _STEPS = 25
@@ -55,8 +55,6 @@ class Scene(NamedTuple):
     amplitude: _Floats
     """(material, scan): of the tip [m]."""
     followed: Followed
-    nothing: _Complex
-    """(0,): no harmonic of the motion is taken as measured; all are those of the model."""
     unit: float
     """Of force [N]."""
     centre: _Floats
@@ -72,10 +70,11 @@ class Scene(NamedTuple):
 @lean
 def rows_of_material(
     scene: Scene, k: int, scan: int, x: float, v: _Floats, room: Room, work: _Floats, f: _Floats, J: _Floats
-) -> None:
+) -> float:
     """Fill the rows of a material in a scan, and their derivatives (row, 4): by adhesion, loss, t and ln E.
 
-    ``x`` is ln E, ``v`` as `ADHESION` and what follows it orders them. The derivatives are those on a bare cosine.
+    ``x`` is ln E, ``v`` as `ADHESION` and what follows it orders them. The derivatives are those on a bare cosine. Of
+    the motion f of the room is renewed (`overtone.population.answer.renew`), whose turning phase is returned.
     """
     columns, unit = scene.columns, scene.unit
     A = scene.amplitude[k, scan]
@@ -86,9 +85,10 @@ def rows_of_material(
     tangent = math.exp(v[TANGENT]) if columns.loss > 0.0 else 0.0
     F = math.exp(v[ADHESION]) * unit if adhesive(columns) else 0.0
     full = room.b.shape[0] > 0
+    lowest = math.pi
     if full:
         room.x[S_], room.x[F_], room.x[C_], room.x[DELTA_] = S, F, S * tangent, 2.0 * A * Delta
-        difference_of(A, room.x, columns, scene.followed, scene.nothing, room)
+        lowest = renew(A, room.x, columns, scene.followed, room)
         a, da, b, db = room.work[0], room.work[1], room.work[2], room.work[3]
     else:
         fill_columns(columns, A, Delta, work.shape[1] - 1, work)
@@ -108,15 +108,17 @@ def rows_of_material(
             J[r, BY_MODULUS] = S * share * a[n] / unit
             if full:
                 f[r] += room.f[n].real / unit
+    return lowest
 
 
 class Desk(NamedTuple):
     """Scratch of one thread, for so many materials and scans."""
 
     room: Room
+    answer: Answer
     work: _Floats
-    motions: _Complex
-    """(material, scan, harmonic): of the motion, from the last time."""
+    added: _Complex
+    """(material, scan, harmonic): what the motion added to those of the force, the last time."""
     f: _Floats
     """(datum,)."""
     J: _Floats
@@ -148,8 +150,10 @@ def new_desk(scene: Scene) -> Desk:
     n_max = 0
     for r in range(scene.orders.shape[0]):
         n_max = max(n_max, scene.orders[r])
+    room = new_room(scene.followed)
     return Desk(
-        new_room(scene.followed),
+        room,
+        new_answer(room),
         np.zeros((WORK_ROWS, n_max + 1)),
         np.zeros((materials, scans, scene.followed.tip.shape[0]), np.complex128),
         np.zeros(size),
@@ -175,11 +179,11 @@ def all_rows(scene: Scene, x: _Floats, v: _Floats, desk: Desk) -> None:
     for k in range(materials):
         for s in range(scans):
             start = (k * scans + s) * rows
-            desk.room.b[:] = desk.motions[k, s]
+            desk.room.f[:] = desk.added[k, s]
             rows_of_material(
                 scene, k, s, x[k], v[k], desk.room, desk.work, desk.f[start : start + rows], desk.part
             )
-            desk.motions[k, s] = desk.room.b
+            desk.added[k, s] = desk.room.f
             for r in range(rows):
                 E = desk.E[start + r]
                 desk.J[start + r, k * each + ADHESION] = desk.part[r, 0] + E[0]
@@ -191,59 +195,58 @@ def all_rows(scene: Scene, x: _Floats, v: _Floats, desk: Desk) -> None:
         desk.J_x[materials * scans * rows + j, scene.references[j]] = 1.0
 
 
-@lean
-def _of_the_motion(scene: Scene, desk: Desk, d: _Floats) -> None:
-    """Fill what the harmonics of the motion add to the rows, as the room holds it from the last time."""
-    for r in range(scene.orders.shape[0]):
-        n = scene.orders[r]
-        d[r] = (-desk.room.f[n].imag if scene.lossy[r] else desk.room.f[n].real) / scene.unit
-
-
 @inner
 def correct_slopes(scene: Scene, k: int, x: float, v: _Floats, desk: Desk) -> None:
     """Fill E of the desk for a material: small beside the slopes on a bare cosine, and not to be neglected.
 
     The posterior is long in some directions and narrow in others, so that slopes that are off by a per cent point out
-    of it.
+    of it. The motion is brought to rest before.
     """
     scans, rows = scene.amplitude.shape[1], scene.orders.shape[0]
-    if desk.room.b.shape[0] == 0:
+    room, columns = desk.room, scene.columns
+    if room.b.shape[0] == 0:
         return
-    here, there = np.empty(rows), np.empty(rows)
-    f, at = np.empty(rows), v.copy()
-    sticky, loss = adhesive(scene.columns), scene.columns.loss > 0.0
+    f, before = np.empty(rows), np.empty(rows)
+    sticky, loss = adhesive(columns), columns.loss > 0.0
+    share = stiffness(columns.contact, math.exp(x))[1]
     for s in range(scans):
         start = (k * scans + s) * rows
-        desk.room.b[:] = desk.motions[k, s]
-        # what is left of a motion that is not at rest would count as a slope
-        here[:] = math.inf
+        room.f[:] = desk.added[k, s]
+        before[:] = math.inf
         for _ in range(_TO_REST):
-            rows_of_material(scene, k, s, x, v, desk.room, desk.work, f, desk.part)
-            _of_the_motion(scene, desk, there)
+            lowest = rows_of_material(scene, k, s, x, v, room, desk.work, f, desk.part)
             moved = 0.0
             for r in range(rows):
-                moved = max(moved, abs(there[r] - here[r]))
-                here[r] = there[r]
+                moved = max(moved, abs(f[r] - before[r]))
+                before[r] = f[r]
             if moved < _AT_REST:
                 break
-        desk.motions[k, s] = desk.room.b
+        desk.added[k, s] = room.f
+        A = scene.amplitude[k, s]
+        count = differentiate(A, room.x, columns, scene.followed, lowest, room, desk.answer)
+        Delta = 1.0 / (1.0 + math.exp(-v[FIRST_DEPTH + s]))
         for p in range(4):
             if (p == ADHESION and not sticky) or (p == TANGENT and not loss):
                 continue
-            at[:] = v
-            x_there, step = x, _NUDGES
-            if p == BY_MODULUS:
-                x_there = x + step
-            elif p == 2:
-                at[FIRST_DEPTH + s] += step
-            else:
-                at[p] += step
-            desk.room.b[:] = desk.motions[k, s]
-            for _ in range(_PASSES):
-                rows_of_material(scene, k, s, x_there, at, desk.room, desk.work, f, desk.part)
-            _of_the_motion(scene, desk, there)
+            elastic = share if p == BY_MODULUS else 0.0
+            lost = 1.0 if p == TANGENT else elastic
+            add_changes(
+                room.x,
+                elastic,
+                1.0 if p == ADHESION else 0.0,
+                lost,
+                Delta * (1.0 - Delta) if p == FIRST_DEPTH else 0.0,
+                A,
+                scene.followed,
+                scene.orders,
+                scene.lossy,
+                count,
+                room,
+                desk.answer,
+                f,
+            )
             for r in range(rows):
-                slope = (there[r] - here[r]) / step
+                slope = f[r] / scene.unit
                 desk.E[start + r, p] = slope if math.isfinite(slope) else 0.0
 
 
@@ -391,7 +394,7 @@ def settle_materials(
     materials, scans = scene.amplitude.shape
     each = FIRST_DEPTH + scans
     m, size, rows = materials * each, desk.f.shape[0], scene.orders.shape[0]
-    desk.motions[:] = 0.0
+    desk.added[:] = 0.0
     bounds(scene, prior, sticky, loss, desk.low, desk.high)
     before = math.inf
     for step in range(_STEPS):
@@ -586,7 +589,7 @@ def starts_of_material(
         fine = False
         # the motion of the first pass is that of a material without adhesion
         for _ in range(3):
-            desk.motions[:] = 0.0
+            desk.added[:] = 0.0
             all_rows(scene, x0, v0, desk)
             S = stiffness(contact, math.exp(x0[0]))[0]
             # f = S a + F b + S tan v + what the harmonics of the motion add

@@ -130,7 +130,7 @@ def curvature(
     J[:], H[:], depth[:], along[:] = 0.0, 0.0, 0.0, 0.0
     for s in range(scans):
         block = s * rows
-        desk.room.b[:] = 0.0
+        desk.room.f[:] = 0.0
         for _ in range(6):
             rows_of_material(scene, k, s, x, v, desk.room, desk.work, f[block : block + rows], desk.part)
         for r in range(rows):

@@ -82,7 +82,6 @@ class Question:
             self.rows.lossy,
             np.ascontiguousarray(amplitude),
             bare,
-            np.empty(0, complex),
             unit,
             np.ascontiguousarray(centre),
             np.ascontiguousarray(precision),

@@ -126,7 +126,7 @@ class State(NamedTuple):
     """(unknown, unknown): lower factor of the metric."""
     g: _Floats
     """(unknown,): slope of ln of the density."""
-    motions: _Complex
+    added: _Complex
     """(material, scan, harmonic)."""
 
 
@@ -140,14 +140,14 @@ def _new_state(scene: Scene, desk: Desk) -> State:
         np.zeros((size, m + materials)),
         np.zeros((m + materials, m + materials)),
         np.zeros(m + materials),
-        desk.motions.copy(),
+        desk.added.copy(),
     )
 
 
 @inner
 def _copy(state: State, other: State) -> None:
     other.u[:], other.f[:], other.J[:] = state.u, state.f, state.J
-    other.L[:], other.g[:], other.motions[:] = state.L, state.g, state.motions
+    other.L[:], other.g[:], other.added[:] = state.L, state.g, state.added
 
 
 @lean
@@ -176,11 +176,11 @@ def _look(
     materials, each = v.shape
     m = materials * each
     _spread_out(state.u, x, v)
-    desk.motions[:] = state.motions
+    desk.added[:] = state.added
     for k in range(materials):
         correct_slopes(scene, k, x[k], v[k], desk)
     all_rows(scene, x, v, desk)
-    state.motions[:] = desk.motions
+    state.added[:] = desk.added
     state.f[:] = desk.f
     state.J[:, :m], state.J[:, m:] = desk.J, desk.J_x
     if not inside(scene, prior, sticky, loss, x, v):
@@ -287,9 +287,9 @@ def _follow(
         _spread_out(end.u, x, v)
         if not inside(scene, prior, sticky, loss, x, v):
             return False
-        desk.motions[:] = end.motions
+        desk.added[:] = end.added
         all_rows(scene, x, v, desk)
-        end.motions[:] = desk.motions
+        end.added[:] = desk.added
         off[:] = goal - start.J.T @ (scene.precision @ (desk.f - start.f))
         for a in range(n):
             off[a] -= P[a] * (end.u[a] - start.u[a])
@@ -339,7 +339,7 @@ def _leads_back(
         goal[a] += P[a] * (here.u[a] - there.u[a])
     _solve(there.L, goal, work)
     again.u[:] = there.u + work
-    again.motions[:] = there.motions
+    again.added[:] = there.added
     if not _follow(scene, prior, sticky, loss, there, P, goal, again, desk, x, v, work, off):
         return False
     return _squared(here.L, again.u - here.u) < _SAME
@@ -395,7 +395,7 @@ def walk(
             here.u[k * each + a] = v0[k, a]
     for _ in range(_SETTLING):
         all_rows(scene, x_now, v_now, desk)
-    here.motions[:] = desk.motions
+    here.added[:] = desk.added
     value = _look(scene, prior, sticky, loss, here, desk, x_now, v_now, P)
     accepted = 0
     for i in range(x.shape[0]):
@@ -420,7 +420,7 @@ def walk(
                 total += here.L[a, c] * work[c]
             goal[a] = total
         there.u[:] = here.u + step
-        there.motions[:] = here.motions
+        there.added[:] = here.added
         candidate = -math.inf
         if _follow(scene, prior, sticky, loss, here, P, goal, there, desk, x_now, v_now, work, off):
             candidate = _look(scene, prior, sticky, loss, there, desk, x_now, v_now, P_there)
