@@ -25,6 +25,7 @@ _Complex = npt.NDArray[np.complex128]
 
 _SIDE_BY_SIDE = 4
 _EDGE_STEPS = 8
+_ANSWERS = 2  # of the motion: to its own force on a cosine, and to what that adds
 
 
 class Answer(NamedTuple):
@@ -42,7 +43,9 @@ class Answer(NamedTuple):
     """(phase,): a change of the motion, and then of the force."""
     rate: _Floats
     change: _Complex
-    """(harmonic,): a change of the motion."""
+    """(harmonic,): of the force."""
+    on_a_cosine: _Complex
+    """(harmonic,): the same on a bare cosine."""
     turns: _Complex
     """(harmonic,): exp(i n theta) of the turning point."""
 
@@ -59,6 +62,7 @@ def new_answer(room: Room) -> Answer:
         np.zeros(most),
         np.zeros(most),
         np.zeros(most),
+        np.zeros(size, np.complex128),
         np.zeros(size, np.complex128),
         np.zeros(size, np.complex128),
     )
@@ -125,7 +129,8 @@ def differentiate(
         else:
             adhesion = -F * tail_shape(contact.tail, max(d, 0.0), contact.a0)
             by_gap = -F * tail_slope(contact.tail, max(d, 0.0), contact.a0)
-        answer.elastic[j], answer.adhesion[j], answer.loss[j] = weight * elastic, weight * adhesion, weight * loss
+        answer.elastic[j], answer.adhesion[j] = weight * elastic, weight * adhesion
+        answer.loss[j] = weight * loss
         answer.by_gap[j], answer.by_rate[j] = weight * by_gap, weight * by_rate
     turn, power = complex(math.cos(lowest), math.sin(lowest)), complex(1.0, 0.0)
     for n in range(room.b.shape[0]):
@@ -159,12 +164,19 @@ def differentiate(
         answer.elastic[count], answer.adhesion[count], answer.loss[count] = 0.0, 0.0, 0.0
         answer.by_gap[count], answer.by_rate[count] = 0.0, 0.0
         count += 1
-    return count
+    return int(count)
 
 
 @inlined
 def _add_turn(
-    by_cosine: float, by_sine: float, n: int, cosine: _Floats, sine: _Floats, gap: _Floats, rate: _Floats, count: int
+    by_cosine: float,
+    by_sine: float,
+    n: int,
+    cosine: _Floats,
+    sine: _Floats,
+    gap: _Floats,
+    rate: _Floats,
+    count: int,
 ) -> None:
     """Add a harmonic to a change of the motion."""
     for j in range(count):
@@ -235,25 +247,34 @@ def add_changes(
     work, samples, change = room.work, room.samples, answer.change
     S, F, c = x[S_], x[F_], x[C_]
     gap, rate = answer.gap, answer.rate
-    gap[:count], rate[:count] = 0.0, 0.0
-    closer = 2.0 * amplitude * deeper
-    for n in range(room.b.shape[0]):
-        on_a_cosine = complex(
-            S * (elastic * work[0, n] + deeper * work[1, n]) + F * (adhesion * work[2, n] + deeper * work[3, n]),
+    size = room.b.shape[0]
+    on_a_cosine = answer.on_a_cosine
+    for n in range(size):
+        on_a_cosine[n] = complex(
+            S * (elastic * work[0, n] + deeper * work[1, n])
+            + F * (adhesion * work[2, n] + deeper * work[3, n]),
             n * c * (loss * work[0, n] + deeper * work[1, n]),
         )
-        change[n] = on_a_cosine
-        if n < 2:
-            continue
-        moved = followed.tip[n] * on_a_cosine
-        # the closest gap stays
-        closer += (moved * answer.turns[n]).real
-        _add_turn(moved.real, -moved.imag, n, samples.cosine[n], samples.sine[n], gap, rate, count)
-    _changed(elastic, adhesion, loss, closer, answer, gap, count)
+        change[n] = on_a_cosine[n]
+    for k in range(_ANSWERS):
+        gap[:count], rate[:count] = 0.0, 0.0
+        closer = 2.0 * amplitude * deeper
+        for n in range(2, size):
+            moved = followed.tip[n] * change[n]
+            # the closest gap stays
+            closer += (moved * answer.turns[n]).real
+            _add_turn(moved.real, -moved.imag, n, samples.cosine[n], samples.sine[n], gap, rate, count)
+        _changed(elastic, adhesion, loss, closer, answer, gap, count)
+        if k < _ANSWERS - 1:
+            # the motion answers to that force, not to the one on a cosine
+            for n in range(2, size):
+                change[n] = complex(
+                    _sum_of(gap, samples.cosine[n], count), -_sum_of(gap, samples.sine[n], count)
+                )
     for r in range(orders.shape[0]):
         n = orders[r]
         if lossy[r]:
-            out[r] = _sum_of(gap, samples.sine[n], count) + change[n].imag
+            out[r] = _sum_of(gap, samples.sine[n], count) + on_a_cosine[n].imag
         else:
             half = 0.5 if n == 0 else 1.0
-            out[r] = half * _sum_of(gap, samples.cosine[n], count) - change[n].real
+            out[r] = half * _sum_of(gap, samples.cosine[n], count) - on_a_cosine[n].real

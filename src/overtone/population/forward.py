@@ -129,6 +129,8 @@ class Desk(NamedTuple):
     """(datum, 4): what the harmonics of the motion add to the derivatives of a row."""
     part: _Floats
     """(row, 4)."""
+    change: _Floats
+    """(row,)."""
     H: _Floats
     """(unknown, unknown)."""
     g: _Floats
@@ -161,6 +163,7 @@ def new_desk(scene: Scene) -> Desk:
         np.zeros((size, materials)),
         np.zeros((size, 4)),
         np.zeros((scene.orders.shape[0], 4)),
+        np.zeros(scene.orders.shape[0]),
         np.zeros((m, m)),
         np.zeros(m),
         np.zeros(m + materials),
@@ -170,12 +173,33 @@ def new_desk(scene: Scene) -> Desk:
     )
 
 
+@lean
+def _put(scene: Scene, k: int, scan: int, desk: Desk) -> None:
+    """Put the slopes of a material in a scan, as they were just filled, where they belong."""
+    scans, rows = scene.amplitude.shape[1], scene.orders.shape[0]
+    start, first = (k * scans + scan) * rows, k * (FIRST_DEPTH + scans)
+    for r in range(rows):
+        i = start + r
+        desk.J[i, first + ADHESION] = desk.part[r, 0] + desk.E[i, 0]
+        desk.J[i, first + TANGENT] = desk.part[r, 1] + desk.E[i, 1]
+        desk.J[i, first + FIRST_DEPTH + scan] = desk.part[r, 2] + desk.E[i, 2]
+        desk.J_x[i, k] = desk.part[r, BY_MODULUS] + desk.E[i, BY_MODULUS]
+
+
+@lean
+def _put_references(scene: Scene, x: _Floats, desk: Desk) -> None:
+    """Put ln E of the references behind the rows."""
+    of_rows = scene.amplitude.shape[0] * scene.amplitude.shape[1] * scene.orders.shape[0]
+    for j in range(scene.references.shape[0]):
+        desk.f[of_rows + j] = x[scene.references[j]]
+        desk.J_x[of_rows + j, scene.references[j]] = 1.0
+
+
 @inner
 def all_rows(scene: Scene, x: _Floats, v: _Floats, desk: Desk) -> None:
     """Fill f and J of the desk for every material; ``v`` is (material, unknown)."""
     materials, scans = scene.amplitude.shape
-    rows, each = scene.orders.shape[0], FIRST_DEPTH + scans
-    desk.J[:] = 0.0
+    rows = scene.orders.shape[0]
     for k in range(materials):
         for s in range(scans):
             start = (k * scans + s) * rows
@@ -184,15 +208,16 @@ def all_rows(scene: Scene, x: _Floats, v: _Floats, desk: Desk) -> None:
                 scene, k, s, x[k], v[k], desk.room, desk.work, desk.f[start : start + rows], desk.part
             )
             desk.added[k, s] = desk.room.f
-            for r in range(rows):
-                E = desk.E[start + r]
-                desk.J[start + r, k * each + ADHESION] = desk.part[r, 0] + E[0]
-                desk.J[start + r, k * each + TANGENT] = desk.part[r, 1] + E[1]
-                desk.J[start + r, k * each + FIRST_DEPTH + s] = desk.part[r, 2] + E[2]
-                desk.J_x[start + r, k] = desk.part[r, BY_MODULUS] + E[BY_MODULUS]
-    for j in range(scene.references.shape[0]):
-        desk.f[materials * scans * rows + j] = x[scene.references[j]]
-        desk.J_x[materials * scans * rows + j, scene.references[j]] = 1.0
+            _put(scene, k, s, desk)
+    _put_references(scene, x, desk)
+
+
+@inner
+def all_at_rest(scene: Scene, x: _Floats, v: _Floats, desk: Desk) -> None:
+    """Fill f and J of the desk for every material, with the motion at rest and what its harmonics add to slopes."""
+    for k in range(x.shape[0]):
+        correct_slopes(scene, k, x[k], v[k], desk)
+    _put_references(scene, x, desk)
 
 
 @inner
@@ -200,54 +225,52 @@ def correct_slopes(scene: Scene, k: int, x: float, v: _Floats, desk: Desk) -> No
     """Fill E of the desk for a material: small beside the slopes on a bare cosine, and not to be neglected.
 
     The posterior is long in some directions and narrow in others, so that slopes that are off by a per cent point out
-    of it. The motion is brought to rest before.
+    of it. The motion is brought to rest before, and the rows of the material are filled as well.
     """
     scans, rows = scene.amplitude.shape[1], scene.orders.shape[0]
     room, columns = desk.room, scene.columns
-    if room.b.shape[0] == 0:
-        return
-    f, before = np.empty(rows), np.empty(rows)
+    moves = room.b.shape[0] > 0
     sticky, loss = adhesive(columns), columns.loss > 0.0
     share = stiffness(columns.contact, math.exp(x))[1]
     for s in range(scans):
         start = (k * scans + s) * rows
-        room.f[:] = desk.added[k, s]
-        before[:] = math.inf
+        f, A = desk.f[start : start + rows], scene.amplitude[k, s]
+        lowest = math.pi
         for _ in range(_TO_REST):
+            room.f[:] = desk.added[k, s]
             lowest = rows_of_material(scene, k, s, x, v, room, desk.work, f, desk.part)
             moved = 0.0
-            for r in range(rows):
-                moved = max(moved, abs(f[r] - before[r]))
-                before[r] = f[r]
-            if moved < _AT_REST:
+            for n in range(room.f.shape[0]):
+                moved = max(moved, abs(room.f[n] - desk.added[k, s, n]))
+            desk.added[k, s] = room.f
+            if moved < _AT_REST * scene.unit:
                 break
-        desk.added[k, s] = room.f
-        A = scene.amplitude[k, s]
-        count = differentiate(A, room.x, columns, scene.followed, lowest, room, desk.answer)
-        Delta = 1.0 / (1.0 + math.exp(-v[FIRST_DEPTH + s]))
-        for p in range(4):
-            if (p == ADHESION and not sticky) or (p == TANGENT and not loss):
-                continue
-            elastic = share if p == BY_MODULUS else 0.0
-            lost = 1.0 if p == TANGENT else elastic
-            add_changes(
-                room.x,
-                elastic,
-                1.0 if p == ADHESION else 0.0,
-                lost,
-                Delta * (1.0 - Delta) if p == FIRST_DEPTH else 0.0,
-                A,
-                scene.followed,
-                scene.orders,
-                scene.lossy,
-                count,
-                room,
-                desk.answer,
-                f,
-            )
-            for r in range(rows):
-                slope = f[r] / scene.unit
-                desk.E[start + r, p] = slope if math.isfinite(slope) else 0.0
+        if moves:
+            count = differentiate(A, room.x, columns, scene.followed, lowest, room, desk.answer)
+            Delta = 1.0 / (1.0 + math.exp(-v[FIRST_DEPTH + s]))
+            for p in range(4):
+                if (p == ADHESION and not sticky) or (p == TANGENT and not loss):
+                    continue
+                elastic = share if p == BY_MODULUS else 0.0
+                add_changes(
+                    room.x,
+                    elastic,
+                    1.0 if p == ADHESION else 0.0,
+                    1.0 if p == TANGENT else elastic,
+                    Delta * (1.0 - Delta) if p == FIRST_DEPTH else 0.0,
+                    A,
+                    scene.followed,
+                    scene.orders,
+                    scene.lossy,
+                    count,
+                    room,
+                    desk.answer,
+                    desk.change,
+                )
+                for r in range(rows):
+                    slope = desk.change[r] / scene.unit
+                    desk.E[start + r, p] = slope if math.isfinite(slope) else 0.0
+        _put(scene, k, s, desk)
 
 
 @lean
@@ -492,7 +515,7 @@ def climb(
     all_of = m + materials
     J, H = np.zeros((size, all_of)), np.zeros((all_of, all_of))
     g, P = np.zeros(all_of), np.zeros(all_of)
-    x_new, v_new = x.copy(), v.copy()
+    x_new, v_new, added = x.copy(), v.copy(), desk.added.copy()
     low, high = np.zeros(all_of), np.zeros(all_of)
     bounds(scene, prior, sticky, loss, low, high)
     for k in range(materials):
@@ -503,9 +526,8 @@ def climb(
         all_rows(scene, x, v, desk)
     cost, damping = misfit(scene, desk.f) - log_prior(scene, prior, sticky, loss, x, v), 1e-3
     for _ in range(_CLIMB):
-        for k in range(materials):
-            correct_slopes(scene, k, x[k], v[k], desk)
-        all_rows(scene, x, v, desk)
+        all_at_rest(scene, x, v, desk)
+        added[:] = desk.added
         J[:, :m], J[:, m:] = desk.J, desk.J_x
         H[:] = J.T @ scene.precision @ J
         g[:] = J.T @ (scene.precision @ (scene.centre - desk.f))
@@ -535,6 +557,8 @@ def climb(
                 for a in range(each):
                     there_a = v[k, a] + share * step[k * each + a]
                     v_new[k, a] = min(max(there_a, low[k * each + a]), high[k * each + a])
+            # from the motion of where it stands: that of a step too far may have run away
+            desk.added[:] = added
             for _ in range(2):
                 all_rows(scene, x_new, v_new, desk)
             there = misfit(scene, desk.f) - log_prior(scene, prior, sticky, loss, x_new, v_new)

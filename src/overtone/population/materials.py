@@ -187,8 +187,8 @@ def profiles_of(
     """
     materials, scans = amplitude.shape
     size = question.rows.orders.size * scans
-    parts = []
-    for k in range(materials):
+
+    def of(k: int) -> Alone | None:
         mine = [*range(k * size, (k + 1) * size)]
         facts = [j for j, fact in enumerate(known) if fact.material == k]
         mine += [materials * size + j for j in facts]
@@ -199,11 +199,12 @@ def profiles_of(
             evidence.unit,
             [0] * len(facts),
         )
-        found = _profile_of(question, alone, before[k].at(0.5) if before else None)
-        if found is None:
-            return None
-        parts.append(found)
-    return parts
+        return _profile_of(question, alone, before[k].at(0.5) if before else None)
+
+    with ThreadPoolExecutor(CHAINS) as threads:
+        found = list(threads.map(of, range(materials)))
+    parts = [part for part in found if part is not None]
+    return parts if len(parts) == materials else None
 
 
 def draw_materials(

@@ -18,9 +18,11 @@ import numpy.typing as npt
 from overtone.inversion.posterior import Prior
 from overtone.kernels import inner, kernel, lean
 from overtone.population.forward import (
+    FIRST_DEPTH,
     Desk,
     Scene,
     add_priors,
+    all_at_rest,
     all_rows,
     cholesky,
     correct_slopes,
@@ -38,9 +40,9 @@ MOST_NODES = 240
 """Places of a profile along ln E, in each direction."""
 _DOWN = 14.0  # of ln of the density below its largest, where a profile ends
 _FIRST_STEP, _LONGEST_STEP, _SHORTEST_STEP = 0.02, 0.4, 1e-3
-_RETRACT = 12
+_RETRACT = 20
 _SETTLING = 10  # passes of the motion at the start of a chain
-_ARRIVED, _LOST = 1e-8, 1e8  # squared length of what is left of a step, in the local metric
+_ARRIVED, _LOST = 1e-6, 1e8  # squared length of Newton's last step, in the local metric
 _SAME = 1e-3  # squared distance, in the local metric, within which a step back ends where it began
 _TOO_FAR, _TOO_NEAR = 1.5, 0.4  # change of ln of the density between two places
 
@@ -122,6 +124,10 @@ class State(NamedTuple):
     """(datum,)."""
     J: _Floats
     """(datum, unknown)."""
+    B: _Floats
+    """(unknown, datum): J' times the precision."""
+    E: _Floats
+    """(datum, 4): as the desk has it."""
     L: _Floats
     """(unknown, unknown): lower factor of the metric."""
     g: _Floats
@@ -138,6 +144,8 @@ def _new_state(scene: Scene, desk: Desk) -> State:
         np.zeros(m + materials),
         np.zeros(size),
         np.zeros((size, m + materials)),
+        np.zeros((m + materials, size)),
+        np.zeros((size, 4)),
         np.zeros((m + materials, m + materials)),
         np.zeros(m + materials),
         desk.added.copy(),
@@ -146,7 +154,7 @@ def _new_state(scene: Scene, desk: Desk) -> State:
 
 @inner
 def _copy(state: State, other: State) -> None:
-    other.u[:], other.f[:], other.J[:] = state.u, state.f, state.J
+    other.u[:], other.f[:], other.J[:], other.B[:], other.E[:] = state.u, state.f, state.J, state.B, state.E
     other.L[:], other.g[:], other.added[:] = state.L, state.g, state.added
 
 
@@ -158,6 +166,33 @@ def _spread_out(u: _Floats, x: _Floats, v: _Floats) -> None:
         x[k] = u[materials * each + k]
         for a in range(each):
             v[k, a] = u[k * each + a]
+
+
+@lean
+def _times_slopes(scene: Scene, B: _Floats, J: _Floats, out: _Floats) -> None:
+    """Fill B J, where J is zero but for the own rows of a material."""
+    materials, scans = scene.amplitude.shape
+    rows, m = scans * scene.orders.shape[0], materials * (FIRST_DEPTH + scans)
+    for a in range(B.shape[0]):
+        for c in range(J.shape[1]):
+            k = c // (FIRST_DEPTH + scans) if c < m else c - m
+            total = 0.0
+            for i in range(k * rows, (k + 1) * rows):
+                total += B[a, i] * J[i, c]
+            if c >= m:
+                for i in range(materials * rows, J.shape[0]):
+                    total += B[a, i] * J[i, c]
+            out[a, c] = total
+
+
+@lean
+def _times_difference(B: _Floats, f: _Floats, other: _Floats, out: _Floats) -> None:
+    """Fill B (f - other)."""
+    for a in range(B.shape[0]):
+        total = 0.0
+        for i in range(f.shape[0]):
+            total += B[a, i] * (f[i] - other[i])
+        out[a] = total
 
 
 @inner
@@ -177,19 +212,21 @@ def _look(
     m = materials * each
     _spread_out(state.u, x, v)
     desk.added[:] = state.added
-    for k in range(materials):
-        correct_slopes(scene, k, x[k], v[k], desk)
-    all_rows(scene, x, v, desk)
+    all_at_rest(scene, x, v, desk)
     state.added[:] = desk.added
-    state.f[:] = desk.f
+    state.f[:], state.E[:] = desk.f, desk.E
     state.J[:, :m], state.J[:, m:] = desk.J, desk.J_x
     if not inside(scene, prior, sticky, loss, x, v):
         return -math.inf
     value = log_prior(scene, prior, sticky, loss, x, v) - misfit(scene, desk.f)
     if not math.isfinite(value):
         return -math.inf
-    state.L[:] = state.J.T @ (scene.precision @ state.J)
-    state.g[:] = state.J.T @ (scene.precision @ (scene.centre - state.f))
+    # the precision is symmetric, and J small: B' first
+    weighted = np.empty(state.J.shape)
+    _times_slopes(scene, scene.precision, state.J, weighted)
+    state.B[:] = weighted.T
+    _times_slopes(scene, state.B, state.J, state.L)
+    _times_difference(state.B, scene.centre, state.f, state.g)
     add_priors(scene, prior, sticky, loss, x, v, state.g, P)
     for a in range(P.shape[0]):
         state.L[a, a] += P[a]
@@ -227,25 +264,68 @@ def _squared(L: _Floats, step: _Floats) -> float:
     return length
 
 
-@inner
-def _log_det(A: _Floats) -> float:
-    """Return ln of the size of the determinant of a matrix of wild rows."""
-    scale = np.sqrt(np.abs(np.diag(A)) + 1e-300)
-    sign, value = np.linalg.slogdet(A / np.outer(scale, scale))
-    return value + 2.0 * np.log(scale).sum() if sign != 0.0 else -math.inf
+@lean
+def _eliminate(A: _Floats, b: _Floats) -> float:
+    """Replace b by the solution of A b = b, and A by what is left; return ln of the size of the determinant of A.
+
+    Gauss's elimination, rows in the order of their largest member in units of the diagonal.
+    """
+    n = b.shape[0]
+    log_det = 0.0
+    for a in range(n):
+        best, largest = a, abs(A[a, a])
+        for c in range(a + 1, n):
+            if abs(A[c, a]) > largest:
+                best, largest = c, abs(A[c, a])
+        if not largest > 0.0:
+            return -math.inf
+        if best != a:
+            for c in range(a, n):
+                A[a, c], A[best, c] = A[best, c], A[a, c]
+            b[a], b[best] = b[best], b[a]
+        log_det += math.log(largest)
+        for c in range(a + 1, n):
+            share = A[c, a] / A[a, a]
+            if share != 0.0:
+                for d in range(a + 1, n):
+                    A[c, d] -= share * A[a, d]
+                b[c] -= share * b[a]
+    for a in range(n - 1, -1, -1):
+        total = b[a]
+        for c in range(a + 1, n):
+            total -= A[a, c] * b[c]
+        b[a] = total / A[a, a]
+    return log_det
+
+
+@lean
+def _in_units(A: _Floats, scale: _Floats) -> float:
+    """Divide rows and columns of a matrix by a scale; return what that adds to ln of its determinant."""
+    added = 0.0
+    for a in range(scale.shape[0]):
+        added += 2.0 * math.log(scale[a])
+        for c in range(scale.shape[0]):
+            A[a, c] /= scale[a] * scale[c]
+    return added
 
 
 @inner
 def _log_step(
-    scene: Scene, start: State, end: State, stride: float, P: _Floats, work: _Floats, step: _Floats
+    scene: Scene,
+    start: State,
+    end: State,
+    stride: float,
+    P: _Floats,
+    work: _Floats,
+    step: _Floats,
+    M: _Floats,
 ) -> float:
     """Return ln of the density with which a step from one state ends at another, but for a constant."""
     n = start.u.shape[0]
-    away = end.u - start.u
     # the step in the tangent plane that leads there
-    work[:] = start.J.T @ (scene.precision @ (end.f - start.f))
+    _times_difference(start.B, end.f, start.f, work)
     for a in range(n):
-        work[a] += P[a] * away[a]
+        work[a] += P[a] * (end.u[a] - start.u[a])
     _solve(start.L, work, step)
     _solve(start.L, start.g, work)
     for a in range(n):
@@ -253,10 +333,14 @@ def _log_step(
     length, log_L = _squared(start.L, step), 0.0
     for a in range(n):
         log_L += math.log(start.L[a, a])
-    M = start.J.T @ (scene.precision @ end.J)
+    _times_slopes(scene, start.B, end.J, M)
     for a in range(n):
         M[a, a] += P[a]
-    return -0.5 * length / (stride * stride) - log_L + _log_det(M)
+    for a in range(n):
+        step[a] = math.sqrt(abs(M[a, a]) + 1e-300)
+        work[a] = 0.0
+    of_units = _in_units(M, step)
+    return -0.5 * length / (stride * stride) - log_L + _eliminate(M, work) + of_units
 
 
 @inner
@@ -272,12 +356,19 @@ def _follow(
     desk: Desk,
     x: _Floats,
     v: _Floats,
-    work: _Floats,
     off: _Floats,
+    scale: _Floats,
+    M: _Floats,
 ) -> bool:
     """Move the end of a step to where the harmonics have gone as far as is its goal; return whether that was found."""
-    n = end.u.shape[0]
-    J, M, scale = np.zeros(start.J.shape), np.zeros((n, n)), np.zeros(n)
+    n, m = end.u.shape[0], desk.J.shape[1]
+    for a in range(n):
+        scale[a] = 0.0
+        for c in range(a + 1):
+            scale[a] += start.L[a, c] ** 2
+        scale[a] = math.sqrt(scale[a])
+    # of the start, whatever was looked at since: a way back is to end where the way there began
+    desk.E[:] = start.E
     for _ in range(_RETRACT):
         finite = True
         for a in range(n):
@@ -290,24 +381,22 @@ def _follow(
         desk.added[:] = end.added
         all_rows(scene, x, v, desk)
         end.added[:] = desk.added
-        off[:] = goal - start.J.T @ (scene.precision @ (desk.f - start.f))
+        _times_difference(start.B, start.f, desk.f, off)
         for a in range(n):
-            off[a] -= P[a] * (end.u[a] - start.u[a])
+            off[a] += goal[a] - P[a] * (end.u[a] - start.u[a])
         # Newton's method, with the slopes of where it is
-        m = desk.J.shape[1]
-        J[:, :m], J[:, m:] = desk.J, desk.J_x
-        M[:] = start.J.T @ (scene.precision @ J)
+        end.J[:, :m], end.J[:, m:] = desk.J, desk.J_x
+        _times_slopes(scene, start.B, end.J, M)
         for a in range(n):
             M[a, a] += P[a]
-            scale[a] = 0.0
-            for c in range(a + 1):
-                scale[a] += start.L[a, c] ** 2
-            scale[a] = math.sqrt(scale[a])
-        if not math.isfinite(M.sum()):
+            off[a] /= scale[a]
+        _in_units(M, scale)
+        if _eliminate(M, off) == -math.inf:
             return False
-        work[:] = np.linalg.solve(M / np.outer(scale, scale), off / scale) / scale
-        end.u[:] += work
-        length = _squared(start.L, work)
+        for a in range(n):
+            off[a] /= scale[a]
+            end.u[a] += off[a]
+        length = _squared(start.L, off)
         if not length < _LOST:
             return False
         if length < _ARRIVED:
@@ -331,18 +420,22 @@ def _leads_back(
     work: _Floats,
     off: _Floats,
     goal: _Floats,
+    M: _Floats,
 ) -> bool:
     """Return whether the step from there that should end here does."""
     n = here.u.shape[0]
-    goal[:] = there.J.T @ (scene.precision @ (here.f - there.f))
+    _times_difference(there.B, here.f, there.f, goal)
     for a in range(n):
         goal[a] += P[a] * (here.u[a] - there.u[a])
     _solve(there.L, goal, work)
-    again.u[:] = there.u + work
+    for a in range(n):
+        again.u[a] = there.u[a] + work[a]
     again.added[:] = there.added
-    if not _follow(scene, prior, sticky, loss, there, P, goal, again, desk, x, v, work, off):
+    if not _follow(scene, prior, sticky, loss, there, P, goal, again, desk, x, v, off, work, M):
         return False
-    return _squared(here.L, again.u - here.u) < _SAME
+    for a in range(n):
+        off[a] = again.u[a] - here.u[a]
+    return _squared(here.L, off) < _SAME
 
 
 @kernel
@@ -388,6 +481,7 @@ def walk(
         np.zeros(n),
         np.zeros(n),
     )
+    M = np.zeros((n, n))
     x_now, v_now = x0.copy(), v0.copy()
     for k in range(materials):
         here.u[m + k] = x0[k]
@@ -422,15 +516,29 @@ def walk(
         there.u[:] = here.u + step
         there.added[:] = here.added
         candidate = -math.inf
-        if _follow(scene, prior, sticky, loss, here, P, goal, there, desk, x_now, v_now, work, off):
+        if _follow(scene, prior, sticky, loss, here, P, goal, there, desk, x_now, v_now, off, work, M):
             candidate = _look(scene, prior, sticky, loss, there, desk, x_now, v_now, P_there)
         if candidate > -math.inf:
-            forward = _log_step(scene, here, there, stride, P, work, step)
-            back = _log_step(scene, there, here, stride, P_there, work, step)
+            forward = _log_step(scene, here, there, stride, P, work, step, M)
+            back = _log_step(scene, there, here, stride, P_there, work, step, M)
             wanted = math.log(max(uniforms[i], 1e-300)) < candidate - value + back - forward
             # a step that does not lead back the same way would be taken too often
             if wanted and _leads_back(
-                scene, prior, sticky, loss, here, there, P_there, again, desk, x_now, v_now, work, off, goal
+                scene,
+                prior,
+                sticky,
+                loss,
+                here,
+                there,
+                P_there,
+                again,
+                desk,
+                x_now,
+                v_now,
+                work,
+                off,
+                goal,
+                M,
             ):
                 _copy(there, here)
                 P[:] = P_there
