@@ -46,10 +46,10 @@ def at_rest(A, x, columns, followed, nothing, theirs, f):
 def changes_at(A, x, columns, followed, orders, lossy, changes, out):
     room = new_room(followed)
     answer = new_answer(room)
-    lowest = 0.0
+    lowest, count = 0.0, 0
     for _ in range(REST):
-        lowest = renew(A, x, columns, followed, room)
-    count = differentiate(A, x, columns, followed, lowest, room, answer)
+        lowest, count = renew(A, x, columns, followed, room)
+    count = differentiate(A, x, columns, followed, lowest, count, room, answer)
     for i in range(changes.shape[0]):
         e, a, c, d = changes[i]
         add_changes(x, e, a, c, d, A, followed, orders, lossy, count, room, answer, out[i])

@@ -49,7 +49,8 @@ COARSE, FINE = 12, 16
 _STILL = 1e-7  # last step of t; the next would be a tenth of it
 _NEARLY_STILL = 1e-4
 _TURN_OF_A_PIECE = 12.0  # phase of the highest harmonic [rad]
-_SIDE_BY_SIDE = 4
+SIDE_BY_SIDE = 4
+"""Phases that are summed at a time."""
 _MET = 1e-6  # last step of a phase: Newton's next would be of the size of its square
 _SETTLING = 30
 _STEADY = 6  # times that the material is found again at one t, where care is taken
@@ -90,7 +91,7 @@ class Samples(NamedTuple):
 @inner
 def new_samples(harmonics: int, nodes: int) -> Samples:
     """Return room for the phases of a motion of so many harmonics, with so many nodes a piece."""
-    most = 2 * nodes * (2 + int(math.pi * harmonics / _TURN_OF_A_PIECE)) + _SIDE_BY_SIDE
+    most = 2 * nodes * (2 + int(math.pi * harmonics / _TURN_OF_A_PIECE)) + SIDE_BY_SIDE
     return Samples(
         np.zeros(most),
         np.zeros(most),
@@ -180,7 +181,7 @@ def _place(motion: Motion, lowest: float, contact: Contact, nodes: _Floats, samp
                 weight = length * width * math.cosh(v) * nodes[1, j]
                 found = _put(start + side * width * math.sinh(v), weight, False, found, samples)
     # what is summed side by side is filled up with phases that have no weight
-    while found % _SIDE_BY_SIDE:
+    while found % SIDE_BY_SIDE:
         found = _put(lowest, 0.0, False, found, samples)
     return found
 
@@ -202,10 +203,10 @@ def _add_wave(
 
 
 @inlined
-def _product(x: _Floats, y: _Floats, count: int) -> float:
+def product(x: _Floats, y: _Floats, count: int) -> float:
     """Return the sum of products, in four sums side by side: one alone would wait for itself at every step."""
     s0, s1, s2, s3 = 0.0, 0.0, 0.0, 0.0
-    for j in range(0, count, _SIDE_BY_SIDE):
+    for j in range(0, count, SIDE_BY_SIDE):
         s0 += x[j] * y[j]
         s1 += x[j + 1] * y[j + 1]
         s2 += x[j + 2] * y[j + 2]
@@ -244,8 +245,11 @@ def force_harmonics_on(
     nodes: _Floats,
     samples: Samples,
     f: _Complex,
-) -> None:
-    """Fill the harmonics of the force on a motion whose closest gap is at the phase ``lowest``."""
+) -> int:
+    """Fill the harmonics of the force on a motion; return how many phases were summed.
+
+    ``lowest`` is the phase of the closest gap.
+    """
     contact = columns.contact
     count = _place(motion, lowest, contact, nodes, samples)
     _move(motion, samples, count)
@@ -271,10 +275,11 @@ def force_harmonics_on(
         samples.share[j] = force * samples.weight[j] / math.pi
     for n in range(f.shape[0]):
         f[n] = complex(
-            _product(samples.share, samples.cosine[n], count),
-            -_product(samples.share, samples.sine[n], count),
+            product(samples.share, samples.cosine[n], count),
+            -product(samples.share, samples.sine[n], count),
         )
     f[0] *= 0.5
+    return count
 
 
 @lean

@@ -17,13 +17,12 @@ from overtone.contact.terms import NO_ADHESION, tail_shape, tail_slope
 from overtone.dynamics.balance import Motion, bottom, gap_at
 from overtone.inversion.columns import Columns, fill_columns
 from overtone.inversion.exact import C_, DELTA_, F_, S_
-from overtone.inversion.motion import Followed, Room, force_harmonics_on
+from overtone.inversion.motion import SIDE_BY_SIDE, Followed, Room, force_harmonics_on, product
 from overtone.kernels import inlined, inner, lean
 
 _Floats = npt.NDArray[np.float64]
 _Complex = npt.NDArray[np.complex128]
 
-_SIDE_BY_SIDE = 4
 _EDGE_STEPS = 8
 _ANSWERS = 2  # of the motion: to its own force on a cosine, and to what that adds
 
@@ -69,8 +68,10 @@ def new_answer(room: Room) -> Answer:
 
 
 @lean
-def renew(A: float, x: _Floats, columns: Columns, followed: Followed, room: Room) -> float:
-    """Renew f of the room: what the harmonics of the motion add to those of the force; return the turning phase.
+def renew(A: float, x: _Floats, columns: Columns, followed: Followed, room: Room) -> tuple[float, int]:
+    """Renew f of the room: what the harmonics of the motion add to those of the force.
+
+    Return the turning phase, and how many phases were summed.
 
     Beforehand f is that of the pass before, or of a material nearby: it changes much less than the force on a bare
     cosine does, which together with it gives the motion, b of the room. Zeros where nothing is known.
@@ -87,24 +88,33 @@ def renew(A: float, x: _Floats, columns: Columns, followed: Followed, room: Room
     # the closest gap is that of the material, whatever the harmonics add to it
     lowest = bottom(motion)
     motion = Motion(A - x[DELTA_] - (gap_at(lowest, motion)[0] + x[DELTA_]), A, b)
-    room.samples.weight[:] = 0.0  # marks where the phases end
     damping = columns.powers[0] * c / omega
-    force_harmonics_on(motion, lowest, columns, S, F, damping, omega, nodes, room.samples, f)
+    count = force_harmonics_on(motion, lowest, columns, S, F, damping, omega, nodes, room.samples, f)
     for n in range(orders):
         f[n] -= complex(S * work[0, n] + F * work[2, n], n * c * work[0, n])
-    return lowest
+    return lowest, count
 
 
 @lean
 def differentiate(
-    A: float, x: _Floats, columns: Columns, followed: Followed, lowest: float, room: Room, answer: Answer
+    A: float,
+    x: _Floats,
+    columns: Columns,
+    followed: Followed,
+    lowest: float,
+    count: int,
+    room: Room,
+    answer: Answer,
 ) -> int:
-    """Fill how the force goes with the motion of the last pass; return how many phases there are."""
+    """Fill how the force goes with the motion of the last pass; return how many phases that takes.
+
+    ``lowest`` and ``count`` are those of `renew`.
+    """
     samples, contact = room.samples, columns.contact
     S, F, damping_rate = x[S_], x[F_], columns.powers[0] * x[C_]
     p = columns.powers[0]
     sticks = contact.tail != NO_ADHESION
-    count = samples.weight.shape[0]
+    # without those that fill up
     while count > 0 and samples.weight[count - 1] == 0.0:
         count -= 1
     first, last = math.inf, -math.inf
@@ -160,7 +170,7 @@ def differentiate(
                 samples.cosine[n, count], samples.sine[n, count] = power.real, power.imag
                 power *= turn
             count += 1
-    while count % _SIDE_BY_SIDE:
+    while count % SIDE_BY_SIDE:
         answer.elastic[count], answer.adhesion[count], answer.loss[count] = 0.0, 0.0, 0.0
         answer.by_gap[count], answer.by_rate[count] = 0.0, 0.0
         count += 1
@@ -197,18 +207,6 @@ def _changed(
             + answer.by_gap[j] * (gap[j] - closer)
             + answer.by_rate[j] * answer.rate[j]
         )
-
-
-@inlined
-def _sum_of(x: _Floats, y: _Floats, count: int) -> float:
-    """Return the sum of products, in four sums side by side."""
-    s0, s1, s2, s3 = 0.0, 0.0, 0.0, 0.0
-    for j in range(0, count, _SIDE_BY_SIDE):
-        s0 += x[j] * y[j]
-        s1 += x[j + 1] * y[j + 1]
-        s2 += x[j + 2] * y[j + 2]
-        s3 += x[j + 3] * y[j + 3]
-    return (s0 + s1) + (s2 + s3)
 
 
 @lean
@@ -269,12 +267,12 @@ def add_changes(
             # the motion answers to that force, not to the one on a cosine
             for n in range(2, size):
                 change[n] = complex(
-                    _sum_of(gap, samples.cosine[n], count), -_sum_of(gap, samples.sine[n], count)
+                    product(gap, samples.cosine[n], count), -product(gap, samples.sine[n], count)
                 )
     for r in range(orders.shape[0]):
         n = orders[r]
         if lossy[r]:
-            out[r] = _sum_of(gap, samples.sine[n], count) + on_a_cosine[n].imag
+            out[r] = product(gap, samples.sine[n], count) + on_a_cosine[n].imag
         else:
             half = 0.5 if n == 0 else 1.0
-            out[r] = half * _sum_of(gap, samples.cosine[n], count) - on_a_cosine[n].real
+            out[r] = half * product(gap, samples.cosine[n], count) - on_a_cosine[n].real

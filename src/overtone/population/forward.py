@@ -20,6 +20,7 @@ from overtone.inversion.motion import Followed, Room, new_room
 from overtone.inversion.posterior import Prior
 from overtone.inversion.table import DEEPEST, SHALLOWEST
 from overtone.kernels import inner, kernel, lean
+from overtone.population.algebra import cholesky
 from overtone.population.answer import Answer, add_changes, differentiate, new_answer, renew
 
 _Floats = npt.NDArray[np.float64]
@@ -70,11 +71,12 @@ class Scene(NamedTuple):
 @lean
 def rows_of_material(
     scene: Scene, k: int, scan: int, x: float, v: _Floats, room: Room, work: _Floats, f: _Floats, J: _Floats
-) -> float:
+) -> tuple[float, int]:
     """Fill the rows of a material in a scan, and their derivatives (row, 4): by adhesion, loss, t and ln E.
 
     ``x`` is ln E, ``v`` as `ADHESION` and what follows it orders them. The derivatives are those on a bare cosine. Of
-    the motion f of the room is renewed (`overtone.population.answer.renew`), whose turning phase is returned.
+    the motion f of the room is renewed (`overtone.population.answer.renew`), which also says what is
+    returned.
     """
     columns, unit = scene.columns, scene.unit
     A = scene.amplitude[k, scan]
@@ -85,10 +87,10 @@ def rows_of_material(
     tangent = math.exp(v[TANGENT]) if columns.loss > 0.0 else 0.0
     F = math.exp(v[ADHESION]) * unit if adhesive(columns) else 0.0
     full = room.b.shape[0] > 0
-    lowest = math.pi
+    lowest, count = math.pi, 0
     if full:
         room.x[S_], room.x[F_], room.x[C_], room.x[DELTA_] = S, F, S * tangent, 2.0 * A * Delta
-        lowest = renew(A, room.x, columns, scene.followed, room)
+        lowest, count = renew(A, room.x, columns, scene.followed, room)
         a, da, b, db = room.work[0], room.work[1], room.work[2], room.work[3]
     else:
         fill_columns(columns, A, Delta, work.shape[1] - 1, work)
@@ -108,7 +110,7 @@ def rows_of_material(
             J[r, BY_MODULUS] = S * share * a[n] / unit
             if full:
                 f[r] += room.f[n].real / unit
-    return lowest
+    return lowest, count
 
 
 class Desk(NamedTuple):
@@ -235,10 +237,10 @@ def correct_slopes(scene: Scene, k: int, x: float, v: _Floats, desk: Desk) -> No
     for s in range(scans):
         start = (k * scans + s) * rows
         f, A = desk.f[start : start + rows], scene.amplitude[k, s]
-        lowest = math.pi
+        lowest, count = math.pi, 0
         for _ in range(_TO_REST):
             room.f[:] = desk.added[k, s]
-            lowest = rows_of_material(scene, k, s, x, v, room, desk.work, f, desk.part)
+            lowest, count = rows_of_material(scene, k, s, x, v, room, desk.work, f, desk.part)
             moved = 0.0
             for n in range(room.f.shape[0]):
                 moved = max(moved, abs(room.f[n] - desk.added[k, s, n]))
@@ -246,7 +248,7 @@ def correct_slopes(scene: Scene, k: int, x: float, v: _Floats, desk: Desk) -> No
             if moved < _AT_REST * scene.unit:
                 break
         if moves:
-            count = differentiate(A, room.x, columns, scene.followed, lowest, room, desk.answer)
+            count = differentiate(A, room.x, columns, scene.followed, lowest, count, room, desk.answer)
             Delta = 1.0 / (1.0 + math.exp(-v[FIRST_DEPTH + s]))
             for p in range(4):
                 if (p == ADHESION and not sticky) or (p == TANGENT and not loss):
@@ -376,26 +378,6 @@ def add_priors(
             P[at + FIRST_DEPTH + s] = Delta * (1.0 - Delta)
         g[materials * each + k] -= prior.precision * (x[k] - prior.centre)
         P[materials * each + k] = prior.precision + 12.0 / (prior.log_high - prior.log_low) ** 2
-
-
-@lean
-def cholesky(H: _Floats) -> bool:
-    """Replace a positive matrix by its lower factor; return False where it is none."""
-    m = H.shape[0]
-    for i in range(m):
-        for j in range(i + 1):
-            total = H[i, j]
-            for k in range(j):
-                total -= H[i, k] * H[j, k]
-            if i == j:
-                if not total > 0.0:
-                    return False
-                H[i, i] = math.sqrt(total)
-            else:
-                H[i, j] = total / H[j, j]
-        for j in range(i + 1, m):
-            H[i, j] = 0.0
-    return True
 
 
 @lean

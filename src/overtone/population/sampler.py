@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from overtone.inversion.posterior import Prior
 from overtone.kernels import inner, kernel, lean
+from overtone.population.algebra import cholesky, eliminate, in_units, solve_factored, squared_length
 from overtone.population.forward import (
     FIRST_DEPTH,
     Desk,
@@ -24,7 +25,6 @@ from overtone.population.forward import (
     add_priors,
     all_at_rest,
     all_rows,
-    cholesky,
     correct_slopes,
     inside,
     log_prior,
@@ -235,80 +235,6 @@ def _look(
     return value
 
 
-@lean
-def _solve(L: _Floats, b: _Floats, out: _Floats) -> None:
-    """Fill the solution of L L' out = b."""
-    n = b.shape[0]
-    for a in range(n):
-        total = b[a]
-        for c in range(a):
-            total -= L[a, c] * out[c]
-        out[a] = total / L[a, a]
-    for a in range(n - 1, -1, -1):
-        total = out[a]
-        for c in range(a + 1, n):
-            total -= L[c, a] * out[c]
-        out[a] = total / L[a, a]
-
-
-@lean
-def _squared(L: _Floats, step: _Floats) -> float:
-    """Return the squared length of a step in the metric L L'."""
-    n = step.shape[0]
-    length = 0.0
-    for a in range(n):
-        along = 0.0
-        for c in range(a, n):
-            along += L[c, a] * step[c]
-        length += along * along
-    return length
-
-
-@lean
-def _eliminate(A: _Floats, b: _Floats) -> float:
-    """Replace b by the solution of A b = b, and A by what is left; return ln of the size of the determinant of A.
-
-    Gauss's elimination, rows in the order of their largest member in units of the diagonal.
-    """
-    n = b.shape[0]
-    log_det = 0.0
-    for a in range(n):
-        best, largest = a, abs(A[a, a])
-        for c in range(a + 1, n):
-            if abs(A[c, a]) > largest:
-                best, largest = c, abs(A[c, a])
-        if not largest > 0.0:
-            return -math.inf
-        if best != a:
-            for c in range(a, n):
-                A[a, c], A[best, c] = A[best, c], A[a, c]
-            b[a], b[best] = b[best], b[a]
-        log_det += math.log(largest)
-        for c in range(a + 1, n):
-            share = A[c, a] / A[a, a]
-            if share != 0.0:
-                for d in range(a + 1, n):
-                    A[c, d] -= share * A[a, d]
-                b[c] -= share * b[a]
-    for a in range(n - 1, -1, -1):
-        total = b[a]
-        for c in range(a + 1, n):
-            total -= A[a, c] * b[c]
-        b[a] = total / A[a, a]
-    return log_det
-
-
-@lean
-def _in_units(A: _Floats, scale: _Floats) -> float:
-    """Divide rows and columns of a matrix by a scale; return what that adds to ln of its determinant."""
-    added = 0.0
-    for a in range(scale.shape[0]):
-        added += 2.0 * math.log(scale[a])
-        for c in range(scale.shape[0]):
-            A[a, c] /= scale[a] * scale[c]
-    return added
-
-
 @inner
 def _log_step(
     scene: Scene,
@@ -326,11 +252,11 @@ def _log_step(
     _times_difference(start.B, end.f, start.f, work)
     for a in range(n):
         work[a] += P[a] * (end.u[a] - start.u[a])
-    _solve(start.L, work, step)
-    _solve(start.L, start.g, work)
+    solve_factored(start.L, work, step)
+    solve_factored(start.L, start.g, work)
     for a in range(n):
         step[a] -= 0.5 * stride * stride * work[a]
-    length, log_L = _squared(start.L, step), 0.0
+    length, log_L = squared_length(start.L, step), 0.0
     for a in range(n):
         log_L += math.log(start.L[a, a])
     _times_slopes(scene, start.B, end.J, M)
@@ -339,8 +265,8 @@ def _log_step(
     for a in range(n):
         step[a] = math.sqrt(abs(M[a, a]) + 1e-300)
         work[a] = 0.0
-    of_units = _in_units(M, step)
-    return -0.5 * length / (stride * stride) - log_L + _eliminate(M, work) + of_units
+    of_units = in_units(M, step)
+    return -0.5 * length / (stride * stride) - log_L + eliminate(M, work) + of_units
 
 
 @inner
@@ -390,13 +316,13 @@ def _follow(
         for a in range(n):
             M[a, a] += P[a]
             off[a] /= scale[a]
-        _in_units(M, scale)
-        if _eliminate(M, off) == -math.inf:
+        in_units(M, scale)
+        if eliminate(M, off) == -math.inf:
             return False
         for a in range(n):
             off[a] /= scale[a]
             end.u[a] += off[a]
-        length = _squared(start.L, off)
+        length = squared_length(start.L, off)
         if not length < _LOST:
             return False
         if length < _ARRIVED:
@@ -427,7 +353,7 @@ def _leads_back(
     _times_difference(there.B, here.f, there.f, goal)
     for a in range(n):
         goal[a] += P[a] * (here.u[a] - there.u[a])
-    _solve(there.L, goal, work)
+    solve_factored(there.L, goal, work)
     for a in range(n):
         again.u[a] = there.u[a] + work[a]
     again.added[:] = there.added
@@ -435,7 +361,7 @@ def _leads_back(
         return False
     for a in range(n):
         off[a] = again.u[a] - here.u[a]
-    return _squared(here.L, off) < _SAME
+    return squared_length(here.L, off) < _SAME
 
 
 @kernel
@@ -494,7 +420,7 @@ def walk(
     accepted = 0
     for i in range(x.shape[0]):
         # uphill and at random, in the tangent plane
-        _solve(here.L, here.g, step)
+        solve_factored(here.L, here.g, step)
         for a in range(n - 1, -1, -1):
             total = normals[i, a]
             for c in range(a + 1, n):

@@ -1,0 +1,106 @@
+"""Algebra of matrices so small that a call of a library takes longer than the work; all of it in place."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from overtone.kernels import lean
+
+_Floats = npt.NDArray[np.float64]
+
+
+@lean
+def cholesky(H: _Floats) -> bool:
+    """Replace a positive matrix by its lower factor; return False where it is none."""
+    m = H.shape[0]
+    for i in range(m):
+        for j in range(i + 1):
+            total = H[i, j]
+            for k in range(j):
+                total -= H[i, k] * H[j, k]
+            if i == j:
+                if not total > 0.0:
+                    return False
+                H[i, i] = math.sqrt(total)
+            else:
+                H[i, j] = total / H[j, j]
+        for j in range(i + 1, m):
+            H[i, j] = 0.0
+    return True
+
+
+@lean
+def solve_factored(L: _Floats, b: _Floats, out: _Floats) -> None:
+    """Fill the solution of L L' out = b."""
+    n = b.shape[0]
+    for a in range(n):
+        total = b[a]
+        for c in range(a):
+            total -= L[a, c] * out[c]
+        out[a] = total / L[a, a]
+    for a in range(n - 1, -1, -1):
+        total = out[a]
+        for c in range(a + 1, n):
+            total -= L[c, a] * out[c]
+        out[a] = total / L[a, a]
+
+
+@lean
+def squared_length(L: _Floats, step: _Floats) -> float:
+    """Return the squared length of a step in the metric L L'."""
+    n = step.shape[0]
+    length = 0.0
+    for a in range(n):
+        along = 0.0
+        for c in range(a, n):
+            along += L[c, a] * step[c]
+        length += along * along
+    return length
+
+
+@lean
+def eliminate(A: _Floats, b: _Floats) -> float:
+    """Replace b by the solution of A b = b, and A by what is left; return ln of the size of the determinant of A.
+
+    Gauss's elimination, rows in the order of their largest member in units of the diagonal.
+    """
+    n = b.shape[0]
+    log_det = 0.0
+    for a in range(n):
+        best, largest = a, abs(A[a, a])
+        for c in range(a + 1, n):
+            if abs(A[c, a]) > largest:
+                best, largest = c, abs(A[c, a])
+        if not largest > 0.0:
+            return -math.inf
+        if best != a:
+            for c in range(a, n):
+                A[a, c], A[best, c] = A[best, c], A[a, c]
+            b[a], b[best] = b[best], b[a]
+        log_det += math.log(largest)
+        for c in range(a + 1, n):
+            share = A[c, a] / A[a, a]
+            if share != 0.0:
+                for d in range(a + 1, n):
+                    A[c, d] -= share * A[a, d]
+                b[c] -= share * b[a]
+    for a in range(n - 1, -1, -1):
+        total = b[a]
+        for c in range(a + 1, n):
+            total -= A[a, c] * b[c]
+        b[a] = total / A[a, a]
+    return log_det
+
+
+@lean
+def in_units(A: _Floats, scale: _Floats) -> float:
+    """Divide rows and columns of a matrix by a scale; return what that adds to ln of its determinant."""
+    added = 0.0
+    for a in range(scale.shape[0]):
+        added += 2.0 * math.log(scale[a])
+        for c in range(scale.shape[0]):
+            A[a, c] /= scale[a] * scale[c]
+    return added
