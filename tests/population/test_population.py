@@ -117,7 +117,8 @@ def test_pooled_pixels_are_sharper_and_right(result, three):
     assert np.median(pooled) < 0.95 * np.median(alone)
     true = three.truth["modulus"].values[own]
     inside = (result["modulus_lower"].values[own] < true) & (true < result["modulus_upper"].values[own])
-    assert 0.8 < inside.mean() < 0.98
+    # what they share is one draw, so that in a lucky scan all of them are right: how often, many worlds tell
+    assert inside.mean() > 0.8
     # ranks of pixels within the phase are seen in spite of all that they share
     seen = np.corrcoef(np.log(true), np.log(result["modulus_unscreened"].values[own]))[0, 1]
     assert seen > 0.5
