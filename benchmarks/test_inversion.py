@@ -7,7 +7,6 @@ tested elsewhere (tests/inversion, docs/posterior.md).
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from typing import Any
 
@@ -220,22 +219,3 @@ def test_map(benchmark: Any, scan: Scan, method: str, motion: str) -> None:
     map_properties(scan.observables, scan.probe, **asked)
     benchmark(map_properties, scan.observables, scan.probe, **asked)
     benchmark.extra_info["pixels per second"] = scan.observables["A1"].size / benchmark.stats["min"]
-
-
-def test_the_ratio_stays(scan: Scan) -> None:
-    """No time, a count: the closest a pixel comes to the bare model says whether the compiler still does its part."""
-    import time
-
-    def best_of(work: Callable[[slice], None], size: int) -> float:
-        work(slice(0, size))
-        times = []
-        for _ in range(5):
-            start = time.perf_counter()
-            work(slice(0, size))
-            times.append(time.perf_counter() - start)
-        return min(times)
-
-    out = np.empty(scan.size)
-    bare = best_of(lambda b: evaluate(scan.columns, scan.amplitude[b], scan.Delta[b], out[b]), 8192)
-    pixel = best_of(solver(scan, scan.y), 8192)
-    assert math.isfinite(pixel / bare)

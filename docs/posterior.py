@@ -56,7 +56,7 @@ Outcomes = dict[str, Array]
 
 FOLDER = Path(__file__).parent
 SEED, DRAWS, CHUNK = 1789, 2000, 100
-N_MAX = 20  # harmonics of the simulated motion; the inversion follows ten
+N_MAX = 20  # harmonics of the simulated motion; the inversion follows sixteen
 POISSON_RATIO = 0.35
 PROBE = ot.Probe.simple(
     stiffness=16.4,

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import contextvars
 import functools
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, as_completed, wait
+from typing import TypeVar
+
+Result = TypeVar("Result")
 
 _limit: int | None = None
 
@@ -45,6 +49,36 @@ def run_blocks(
             future.cancel()
         wait(futures)
         raise
+
+
+def side_by_side(aside: Callable[[], Result], here: Callable[[Callable[[], None]], None]) -> Result:
+    """Call ``aside`` in a thread of its own while ``here`` runs; return what it returns.
+
+    Where one thread is all there is (`limit_threads`) they run one after the other.
+
+    Parameters
+    ----------
+    aside : callable
+        Under the caller's context (`numpy.errstate`).
+    here : callable
+        Is given a function to call now and then, which raises what ``aside`` has raised.
+
+    Notes
+    -----
+    What ``here`` raises is raised when ``aside`` has ended: a thread cannot be stopped.
+    """
+    if _limit == 1:
+        here(lambda: None)
+        return aside()
+    with ThreadPoolExecutor(1, thread_name_prefix="overtone-aside") as thread:
+        waiting = thread.submit(contextvars.copy_context().run, aside)
+
+        def raise_early() -> None:
+            if waiting.done():
+                waiting.result()
+
+        here(raise_early)
+        return waiting.result()
 
 
 def limit_threads(count: int) -> None:

@@ -9,8 +9,8 @@ from scipy.special import log_ndtr
 from scipy.stats import norm, truncnorm
 
 from overtone.inversion.histogram import (
+    EMPTY,
     LEVELS,
-    Group,
     add_gaussian,
     add_group,
     fill_quantiles,
@@ -44,17 +44,17 @@ def quantiles_of(low, high, middles, halves, sigmas, least, most, logarithmic, w
 
 
 @kernel
-def quantiles_of_groups(low, high, middles, sigmas, least, most, weights, out):  # type: ignore[no-untyped-def]
+def quantiles_of_groups(low, high, middles, sigmas, least, limits, logarithmic, weights, out):  # type: ignore[no-untyped-def]
     bins = np.zeros((3, BINS))
     width = (high - low) / BINS
-    group, count = Group(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), 0
+    group, count = EMPTY, 0
     for k in range(middles.shape[0]):
-        if not joins(group, middles[k], sigmas[k]):
-            add_group(bins, low, 1.0 / width, group, least, False)
-            group = Group(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        if not joins(group, middles[k], sigmas[k], limits[k]):
+            add_group(bins, low, 1.0 / width, group, least, logarithmic)
+            group = EMPTY
         count += group.mass == 0.0
-        group = joined(group, middles[k], 0.0, sigmas[k], most, weights[k])
-    add_group(bins, low, 1.0 / width, group, least, False)
+        group = joined(group, middles[k], 0.0, sigmas[k], limits[k], weights[k])
+    add_group(bins, low, 1.0 / width, group, least, logarithmic)
     fill_quantiles(sum_steps(bins), low, width, out)
     return count
 
@@ -97,21 +97,56 @@ def test_a_gaussian_between_bounds(mean: float, sigma: float) -> None:
     assert spread == pytest.approx(want.std(), rel=accuracy, abs=0)
 
 
-@pytest.mark.parametrize("at", [-6.0, -3.0, -2.4, -1.0, 0.0, 1.0, 2.4, 3.0, 40.0])
-@pytest.mark.parametrize("sigma", [0.3, 1.0])
-def test_one_gaussian_cut_or_not_has_its_interval(at: float, sigma: float) -> None:
-    """Ends to 3 % of the width of the interval: a triangle stands for what no bound cuts."""
-    least, middle = 0.0, at * sigma
+@pytest.mark.parametrize("at", [-6.0, -3.0, -2.4, -1.0, 0.0, 1.0, 2.0, 2.4, 2.5, 3.0, 40.0])
+@pytest.mark.parametrize("upper", [False, True], ids=["lower", "upper"])
+def test_one_gaussian_cut_or_not_has_its_interval(at: float, upper: bool) -> None:
+    """Ends to 4 % of the width of the interval, beside either bound; a triangle stands for what none cuts."""
+    least, middle, sigma = 0.0, 0.3 * at, 0.3
     want = exact([middle], [sigma], least, 1e3, [1.0])
     low, high = max(middle - 4.0 * sigma, least), max(middle, 0.0) + 4.0 * sigma
+    bounds = least, 1e3
+    if upper:
+        middle, low, high, bounds = -middle, -high, -low, (-1e3, least)
+    got = np.empty(3)
+    one = np.array([middle]), np.zeros(1), np.array([sigma])
+    mass = quantiles_of(low, high, *one, *bounds, False, np.array([2.5]), got)
+    assert mass == pytest.approx(2.5, rel=0.02, abs=0)
+    if upper:
+        got = -got[::-1]
+    assert np.abs(got - want).max() < 0.04 * (want[2] - want[0])
+
+
+@pytest.mark.parametrize("at", [0.5, 2.0, 3.0, 5.0, 8.5, 12.0, 20.0, 60.0])
+def test_one_gaussian_in_bins_of_the_logarithm(at: float) -> None:
+    want = exact([at], [1.0], 0.0, 1e3, [1.0])
+    low, high = math.log(max(at - 4.0, 1e-3 * (at + 4.0))), math.log(at + 4.0)
     got = np.empty(3)
     mass = quantiles_of(
-        low, high, np.array([middle]), np.zeros(1), np.array([sigma]), least, 1e3, False, np.array([2.5]), got
+        low, high, np.array([at]), np.zeros(1), np.ones(1), 0.0, 1e3, True, np.array([2.5]), got
     )
     assert mass == pytest.approx(2.5, rel=0.02, abs=0)
-    if at > -4.0:
-        assert np.abs(got - want).max() < 0.03 * (want[2] - want[0])
-    assert np.all(got >= least)
+    assert np.abs(np.exp(got) - want).max() < 0.05 * (want[2] - want[0])
+
+
+@pytest.mark.parametrize("half", [0.0, 1.0, 2.0])
+@pytest.mark.parametrize("logarithmic", [False, True], ids=["even", "logarithm"])
+def test_nothing_lies_beyond_a_bound(half: float, logarithmic: bool) -> None:
+    """However wide its cell is, and however far the bins reach."""
+    got = np.empty(3)
+    for most in (21.0, 22.5, 23.0, 24.0):
+        low, high = (math.log(10.0), math.log(40.0)) if logarithmic else (10.0, 40.0)
+        one = np.array([20.0]), np.array([half]), np.ones(1)
+        quantiles_of(low, high, *one, 0.0, most, logarithmic, np.ones(1), got)
+        assert (np.exp(got[2]) if logarithmic else got[2]) < most * 1.01
+
+
+def test_what_is_no_number_is_not_added() -> None:
+    """And writes nowhere: every index would be wrong."""
+    got = np.empty(3)
+    middles = np.array([1.0, math.nan, math.inf])
+    args = np.zeros(3), np.full(3, 0.3), 0.0, 10.0, False, np.ones(3), got
+    assert quantiles_of(-1.0, 3.0, middles, *args) == pytest.approx(1.0, rel=0.02)
+    assert got[1] == pytest.approx(1.0, abs=0.02)
 
 
 @pytest.mark.parametrize("logarithmic", [False, True], ids=["even", "logarithm"])
@@ -146,20 +181,38 @@ def test_cells_of_nodes_widen_a_gaussian() -> None:
 def test_neighbours_may_be_added_as_one(least: float) -> None:
     """Many Gaussians that overlap are few groups, with the quantiles of all of them; those apart stay apart."""
     middles = np.linspace(0.5, 6.0, 60)
-    sigmas = np.full(60, 0.8)
+    sigmas, limits = np.full(60, 0.8), np.full(60, 100.0)
     weights = np.exp(-0.5 * ((middles - 2.5) / 1.5) ** 2)
     want = exact(middles, sigmas, least, 100.0, weights)
     got = np.empty(3)
-    groups = quantiles_of_groups(
-        -2.7 if least < 0.0 else 0.0, 9.2, middles, sigmas, least, 100.0, weights, got
-    )
+    bottom = -2.7 if least < 0.0 else 0.0
+    groups = quantiles_of_groups(bottom, 9.2, middles, sigmas, least, limits, False, weights, got)
     assert groups < 12
     assert np.abs(got - want).max() < 0.02 * (want[2] - want[0])
-    assert quantiles_of_groups(-3.0, 9.0, middles, np.full(60, 0.05), least, 100.0, weights, got) > 50
+    narrow = np.full(60, 0.05)
+    assert quantiles_of_groups(-3.0, 9.0, middles, narrow, least, limits, False, weights, got) > 50
+
+
+def test_what_a_bound_cuts_differently_stays_apart() -> None:
+    middles, sigmas = np.linspace(1.0, 1.4, 6), np.full(6, 0.5)
+    limits = np.geomspace(0.5, 4.0, 6)
+    parts = [
+        truncnorm(-m / s, (most - m) / s, m, s) for m, s, most in zip(middles, sigmas, limits, strict=True)
+    ]
+    weights = np.array([norm.cdf((most - m) / 0.5) for m, most in zip(middles, limits, strict=True)])
+
+    def off(x: float, level: float) -> float:
+        return sum(w * p.cdf(x) for w, p in zip(weights, parts, strict=True)) / weights.sum() - level
+
+    want = np.array([brentq(off, 1e-6, 4.0, args=(level,)) for level in LEVELS])
+    got = np.empty(3)
+    quantiles_of_groups(0.0, 4.0, middles, sigmas, 0.0, limits, False, weights, got)
+    assert np.abs(got - want).max() < 0.03 * (want[2] - want[0])
 
 
 def test_even_steps_are_exact() -> None:
-    edges = np.array([[0.0, 1.0], [1.0, 4.0], [0.5, 0.5]])
+    """As exact as bins of the edges of the steps can be."""
+    edges = np.array([[0.0, 1.5], [1.5, 4.5]])
     got = np.empty(3)
-    of_steps(-1.0, 5.0, edges, np.array([1.0, 1.0, 0.0]), got)
-    np.testing.assert_allclose(got, [0.1, 1.0, 3.7], atol=0.04)
+    of_steps(-1.0, 5.0, edges, np.array([1.0, 2.0]), got)
+    np.testing.assert_allclose(got, [0.225, 2.25, 4.275], atol=1e-9)

@@ -23,8 +23,8 @@ from overtone.population.forward import (
     TANGENT,
     all_rows,
     climb,
-    correct_slopes,
     new_desk,
+    one_at_rest,
     starts_of_material,
 )
 from overtone.population.materials import Question
@@ -49,7 +49,7 @@ def on_the_desk(scene, x, v, corrected, f, J, J_x):
         all_rows(scene, x, v, desk)
     if corrected:
         for k in range(x.shape[0]):
-            correct_slopes(scene, k, x[k], v[k], desk)
+            one_at_rest(scene, k, x[k], v[k], desk)
         all_rows(scene, x, v, desk)
     f[:], J[:], J_x[:] = desk.f, desk.J, desk.J_x
 

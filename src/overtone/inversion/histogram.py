@@ -18,14 +18,20 @@ MASS_, STEP_, BEND_ = 0, 1, 2
 how much these steps grow."""
 
 _PIECES = 6  # of a Gaussian that a bound cuts
-_CUT = 2.45  # standard deviations from a bound within which it is cut: as far as the pieces of one that is not reach
 _FAR = 3.3  # of them, beyond which nothing of one that is cut counts
-_OCTAVES = 4  # in which the piece next to zero is told apart in bins of the logarithm
+_OCTAVES = (
+    4  # in which the piece next to zero is told apart in bins of the logarithm: all but a sixteenth of it
+)
 _LEAST_SHARE = 1e-3  # of the upper end of a piece, at which it ends in bins of the logarithm
-_NARROW = 4.0  # bins, from which on a slope is one
+_NARROW = (
+    4.0  # bins on each side of a triangle; of narrower ones the shape is not seen, and bins would not add up
+)
 _ROOT_2, _LOG_2 = math.sqrt(2.0), math.log(2.0)
 _STRAIGHT = 0.3  # of a value, over which its logarithm is nearly a straight line
-_SPAN = math.sqrt(6.0)  # half of the base of a triangle of standard deviation 1
+_SPAN = math.sqrt(
+    6.0
+)  # half of the base of a triangle of standard deviation 1; nearer to a bound a Gaussian is cut
+_LEAN = 0.2  # of its relative size, by which a triangle of a logarithm is longer below its summit than above
 _REACH, _FINENESS = 6.0, 256
 _ABOVE = np.array(
     [0.5 * math.erfc((k / _FINENESS - _REACH) / math.sqrt(2.0)) for k in range(2 * 6 * 256 + 2)]
@@ -41,13 +47,20 @@ class Group(NamedTuple):
     first: float
     """Middle of the first, from which others are counted."""
     sum: float
-    """Of mass times middle, of that squared, of variance, half of a cell and upper bound."""
+    """Of mass times middle, of that squared, of variance and half of a cell."""
     square: float
     variance: float
     half: float
     limit: float
+    """The least upper bound, and"""
+    top: float
+    """how far up any of them reaches."""
     reach: float
     """How far from the first a middle may lie."""
+
+
+EMPTY = Group(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+"""A group without members."""
 
 
 @inlined
@@ -112,6 +125,8 @@ def _spread_between(bins: _Floats, x0: float, x1: float, mass: float) -> None:
 @inlined
 def spread_over(bins: _Floats, low: float, fineness: float, left: float, right: float, mass: float) -> None:
     """Add a mass, even between two values, to so many bins a unit that begin at ``low``."""
+    if not math.isfinite(left + right):
+        return
     _spread_between(bins, (left - low) * fineness, (right - low) * fineness, mass)
 
 
@@ -254,13 +269,15 @@ def add_gaussian(
     logarithmic: bool,
     mass: float,
 ) -> None:
-    """Add a mass around a value: Gaussian between two bounds, folded with the cell of its node.
+    """Add a mass around a value: Gaussian between two bounds, folded with the cell of its node where none cuts it.
 
     With ``logarithmic`` the bins are those of the logarithm.
     """
-    if middle - _CUT * sigma < least or middle + _CUT * sigma > most:
+    if not math.isfinite(middle + half + sigma):
+        return
+    if middle - _SPAN * sigma < least or middle + _SPAN * sigma > most:
         left, right = max(middle - _FAR * sigma, least), min(middle + _FAR * sigma, most)
-        # the farther a bound is beyond the middle, the faster falls off what it leaves
+        # the farther a bound is beyond the middle, the faster falls off what it leaves: to half a per cent of it
         if middle < least:
             left, right = least, min(least + 6.5 * sigma / ((least - middle) / sigma + 1.9), most)
         elif middle > most:
@@ -286,28 +303,37 @@ def add_gaussian(
         return
     # a triangle of the same variance, whose 90 % interval is 2 % wider
     x = _bin_of(middle, low, fineness, logarithmic)
-    wide = span * fineness / (middle if logarithmic else 1.0)
-    if x - wide < 1.0 or x + wide > bins.shape[1] - 2.0 or wide < _NARROW:
+    wide, lean = span * fineness, 0.0
+    if logarithmic:
+        wide, lean = wide / middle, _LEAN * span / middle
+    below, above = wide * (1.0 + lean), wide * (1.0 - lean)
+    inside = middle - span >= least and middle + span <= most
+    if not (inside and x - below >= 1.0 and x + above <= bins.shape[1] - 2.0 and wide >= _NARROW):
         reach = math.sqrt(half * half + 3.0 * sigma * sigma)
         left, right = max(middle - reach, least), min(middle + reach, most)
         _add_even(bins, low, fineness, left, right, logarithmic, mass)
         return
-    slope = mass / (wide * wide)
-    _bend_at(bins, x - wide, slope)
-    _bend_at(bins, x, -2.0 * slope)
-    _bend_at(bins, x + wide, slope)
+    height = 2.0 * mass / (below + above)
+    _bend_at(bins, x - below, height / below)
+    _bend_at(bins, x, -height / below - height / above)
+    _bend_at(bins, x + above, height / above)
 
 
 @inlined
-def joins(group: Group, middle: float, sigma: float) -> bool:
-    """Return whether a Gaussian may join a group."""
-    return group.mass == 0.0 or abs(middle - group.first) <= min(group.reach, _ALIKE * sigma)
+def joins(group: Group, middle: float, sigma: float, limit: float) -> bool:
+    """Return whether a Gaussian may join a group: near it, and no upper bound cuts one of them and not the other."""
+    near = abs(middle - group.first) <= min(group.reach, _ALIKE * sigma)
+    uncut = max(group.top, middle + _SPAN * sigma) <= min(group.limit, limit)
+    return group.mass == 0.0 or (near and (uncut or limit == group.limit))
 
 
 @inlined
 def joined(group: Group, middle: float, half: float, sigma: float, limit: float, mass: float) -> Group:
     """Return a group with one more Gaussian."""
-    first, reach = (middle, _ALIKE * sigma) if group.mass == 0.0 else (group.first, group.reach)
+    first, reach, top = group.first, group.reach, max(group.top, middle + _SPAN * sigma)
+    limit = min(group.limit, limit) if group.mass > 0.0 else limit
+    if group.mass == 0.0:
+        first, reach, top = middle, _ALIKE * sigma, middle + _SPAN * sigma
     away = middle - first
     return Group(
         group.mass + mass,
@@ -316,7 +342,8 @@ def joined(group: Group, middle: float, half: float, sigma: float, limit: float,
         group.square + mass * away * away,
         group.variance + mass * sigma * sigma,
         group.half + mass * half,
-        group.limit + mass * limit,
+        limit,
+        top,
         reach,
     )
 
@@ -326,18 +353,9 @@ def add_group(
     bins: _Floats, low: float, fineness: float, group: Group, least: float, logarithmic: bool
 ) -> None:
     """Add a group between its bounds: a Gaussian of its mean and variance."""
-    if group.mass == 0.0:
+    if not group.mass > 0.0:
         return
     mean, per = group.sum / group.mass, 1.0 / group.mass
-    add_gaussian(
-        bins,
-        low,
-        fineness,
-        group.first + mean,
-        per * group.half,
-        math.sqrt(per * group.variance + max(per * group.square - mean * mean, 0.0)),
-        least,
-        per * group.limit,
-        logarithmic,
-        group.mass,
-    )
+    sigma = math.sqrt(per * group.variance + max(per * group.square - mean * mean, 0.0))
+    middle, half = group.first + mean, per * group.half
+    add_gaussian(bins, low, fineness, middle, half, sigma, least, group.limit, logarithmic, group.mass)

@@ -21,8 +21,8 @@ import numpy.typing as npt
 from overtone.inversion.apart import apart, gap_range, has_reach
 from overtone.inversion.columns import Columns, adhesive
 from overtone.inversion.histogram import (
+    EMPTY,
     LEVELS,
-    Group,
     add_gaussian,
     add_group,
     fill_quantiles,
@@ -73,7 +73,7 @@ _WIDTH_ACROSS = 0.6
 _WIDTH_OF_A_PIECE, _MOST_PIECES = 1.5, 7  # of ln E, of Gauss's rule between two bends
 _BINS = 160
 _GAP_NODES = 61
-_NEGLIGIBLE = 5e-4
+_NEGLIGIBLE = 5e-4  # of the largest weight of a node, below which one is in no marginal
 _PLACES = 3  # at which the difference that the harmonics of the motion make is found
 _BESIDE = 0.2
 _MOST_PASSES = 8
@@ -82,7 +82,6 @@ _ALONE = 0.2  # of them, that one pass leaves: about the difference, times its s
 _DECADES = 8.0  # of S tan(delta), below its largest
 
 
-_EMPTY = Group(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 _GAUSS = gauss_rule(6)
 _WIDEST = max(_MOST_ACROSS, 5 * _MOST_PIECES * 6)
 _LOG_ROOT_2PI = 0.5 * math.log(2.0 * math.pi)
@@ -530,7 +529,7 @@ def posterior_pixels(
                 same = grid.members[j]
                 ahead = j + 1 < nodes and grid.members[j + 1] == same
                 back = j > 0 and grid.members[j - 1] == same
-                alike = _EMPTY
+                alike = EMPTY
                 for k in range(same):
                     weight = grid.weight[j, k]
                     if not weight > _NEGLIGIBLE * most:
@@ -552,9 +551,9 @@ def posterior_pixels(
                         half = min(half, 2.0 * sigma)
                         factor_q = 1.0 / grid.S[j, k] if q == TANGENT_ else math.exp(grid.shift[j, k])
                     middle, half, sigma = factor_q * middle, factor_q * half, factor_q * sigma
-                    if not joins(alike, middle, sigma):
+                    if not joins(alike, middle, sigma, factor_q * limit):
                         add_group(bins, low, fineness, alike, least_q, q == LOSS_)
-                        alike = _EMPTY
+                        alike = EMPTY
                     alike = joined(alike, middle, half, sigma, factor_q * limit, weight)
                 add_group(bins, low, fineness, alike, least_q, q == LOSS_)
             histogram = sum_steps(bins)
@@ -663,18 +662,19 @@ def _out_of_contact(
         below, level = 0.0, LEVELS.shape[0] - 1
         for k in range(n):
             half = 0.5 * abs(F[min(k + 1, n - 1)] - F[max(k - 1, 0)]) * (0.5 if 0 < k < n - 1 else 1.0)
-            add_gaussian(
-                bins,
-                F_low,
-                1.0 / width,
-                F[k],
-                half,
-                spread[k],
-                prior.adhesion_low,
-                prior.adhesion_high,
-                False,
-                weights[k],
-            )
+            if width > 0.0:
+                add_gaussian(
+                    bins,
+                    F_low,
+                    1.0 / width,
+                    F[k],
+                    half,
+                    spread[k],
+                    prior.adhesion_low,
+                    prior.adhesion_high,
+                    False,
+                    weights[k],
+                )
             # gaps rise, indentations fall: the levels come from the other end
             above = below + weights[k]
             while level >= 0 and above >= (1.0 - LEVELS[level]) * total and weights[k] > 0.0:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
 import numpy as np
 import xarray as xr
 
 from overtone import provenance
+from overtone.blocks import side_by_side
 from overtone.contact.models import BUILT_IN, ContactModel, contact_model
 from overtone.contact.parameters import DISTANCE, POISSON_RATIO
 from overtone.errors import InversionError
@@ -236,30 +236,36 @@ def map_properties(
             Candidate.of(r, c, setting, complete_priors(alone, r, probe.tip.radius), probe, known)
             for r, c in zip(records, columns, strict=True)
         )
-        single = partial(
-            map_posteriors, setting, candidates, probe, sheet, full_motion=motion == "full", progress=progress
-        )
+        single = partial(map_posteriors, setting, candidates, probe, sheet, full_motion=motion == "full")
         if method != POPULATION:
-            single()
+            single(progress=progress)
         else:
             from overtone.population.population import Request, find_materials, pool_scan
 
             of_all = shared_priors(priors, candidates[0].priors, probe.tip.radius)
+            request = Request(phases, reference, reference_pixels, seed)
+            share = partial(
+                find_materials,
+                settings,
+                scans,
+                columns[0],
+                of_all,
+                probe,
+                candidates[0].exponent,
+                request,
+                full_motion=motion == "full",
+            )
+
+            def sum_pixels(raise_early: Callable[[], None]) -> None:
+                def told(done: int, count: int) -> None:
+                    raise_early()
+                    if progress is not None:
+                        progress(done, count)
+
+                single(progress=told, parts=False)
+
             # neither needs the other, and together they leave no core idle
-            with ThreadPoolExecutor(1) as thread:
-                waiting = thread.submit(
-                    find_materials,
-                    settings,
-                    scans,
-                    columns[0],
-                    of_all,
-                    probe,
-                    candidates[0].exponent,
-                    Request(phases, reference, reference_pixels, seed),
-                    full_motion=motion == "full",
-                )
-                single(parts=False)
-            found = waiting.result()
+            found = side_by_side(share, sum_pixels)
             pool_scan(found, sheet, progress)
             materials = found.table
         together = {name: prior for c in candidates for name, prior in c.priors.items()}

@@ -81,13 +81,13 @@ def _edge(
 def _vertex(bounded: _Floats, k: int, low: float, high: float) -> tuple[float, float]:
     """Return where, between two t, a parabola through a node and its neighbours is least, and how small it is."""
     width = STEP * STRIDE
-    shift, value = 0.0, bounded[k]
-    if 0 < k < bounded.shape[0] - 1:
-        tilt, bend = bounded[k - 1] - bounded[k + 1], bounded[k - 1] - 2.0 * bounded[k] + bounded[k + 1]
-        if bend > 0.0:
-            shift = 0.5 * tilt / bend
-            value = max(value - 0.25 * tilt * shift, 0.0)
-    return min(max(SHALLOWEST + width * (k + shift), low), high), value
+    if not 0 < k < bounded.shape[0] - 1:
+        return min(max(SHALLOWEST + width * k, low), high), bounded[k]
+    tilt, bend = bounded[k - 1] - bounded[k + 1], bounded[k - 1] - 2.0 * bounded[k] + bounded[k + 1]
+    shift = min(max(0.5 * tilt / bend, -0.5), 0.5) if bend > 0.0 else 0.0
+    t = min(max(SHALLOWEST + width * (k + shift), low), high)
+    x = (t - SHALLOWEST) / width - k
+    return t, max(bounded[k] - 0.5 * tilt * x + 0.5 * bend * x * x, 0.0)
 
 
 @inner

@@ -22,7 +22,7 @@ from overtone.instrument.calibrate import split_curve
 from overtone.instrument.calibration import Calibration
 from overtone.instrument.far_field import FarPoints, ladder_points
 from overtone.instrument.signals import Signals, in_the_frame_of_the_first, signals_of
-from overtone.instrument.unknowns import HIGHER, distortion_basis, distortion_of, undo, wrapped
+from overtone.instrument.unknowns import HIGHER, distortion, undo, wrapped
 from overtone.plots.categories import PALETTE
 from overtone.plots.scales import Array, Mask
 from overtone.plots.sheet import Sheet
@@ -314,8 +314,8 @@ def _draw_ladder(axes: Axes, *, points: FarPoints, calibration: Calibration, n: 
     # crosstalk is known at the drive of the scan only
     after = np.where(np.isclose(drive, 1.0, rtol=1e-3), np.abs(clean.phasor[n]), np.nan)
     swept = np.linspace(0.0, float(np.nanmax(A, initial=0.0)), 200)
-    basis = distortion_basis(np.asarray(swept, dtype=complex), n, calibration.amplitude)
-    fitted = np.abs(basis @ distortion_of(calibration.values, n))
+    first = np.asarray(swept, dtype=complex)
+    fitted = np.abs(distortion(first, n, calibration.amplitude, calibration.values))
     unit, label = _unit(f"A{n}", before, fitted)
     across, below = _unit("A1", swept)
     axes.plot(A * across, before * unit, color=_RAW, zorder=3, **_dots(4.5))

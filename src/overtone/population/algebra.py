@@ -63,9 +63,10 @@ def squared_length(L: _Floats, step: _Floats) -> float:
 
 @lean
 def eliminate(A: _Floats, b: _Floats) -> float:
-    """Replace b by the solution of A b = b, and A by what is left; return ln of the size of the determinant of A.
+    """Replace b by the solution x of A x = b; return ln of the size of the determinant of A.
 
-    Gauss's elimination, rows in the order of their largest member in units of the diagonal.
+    Gauss's elimination, rows in the order of their largest member. Of A nothing is left; where it is singular minus
+    infinity is returned, and b is none.
     """
     n = b.shape[0]
     log_det = 0.0

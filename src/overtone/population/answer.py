@@ -171,6 +171,7 @@ def differentiate(
                 power *= turn
             count += 1
     while count % SIDE_BY_SIDE:
+        samples.cosine[:, count], samples.sine[:, count] = 0.0, 0.0
         answer.elastic[count], answer.adhesion[count], answer.loss[count] = 0.0, 0.0, 0.0
         answer.by_gap[count], answer.by_rate[count] = 0.0, 0.0
         count += 1

@@ -218,16 +218,16 @@ def all_rows(scene: Scene, x: _Floats, v: _Floats, desk: Desk) -> None:
 def all_at_rest(scene: Scene, x: _Floats, v: _Floats, desk: Desk) -> None:
     """Fill f and J of the desk for every material, with the motion at rest and what its harmonics add to slopes."""
     for k in range(x.shape[0]):
-        correct_slopes(scene, k, x[k], v[k], desk)
+        one_at_rest(scene, k, x[k], v[k], desk)
     _put_references(scene, x, desk)
 
 
 @inner
-def correct_slopes(scene: Scene, k: int, x: float, v: _Floats, desk: Desk) -> None:
-    """Fill E of the desk for a material: small beside the slopes on a bare cosine, and not to be neglected.
+def one_at_rest(scene: Scene, k: int, x: float, v: _Floats, desk: Desk) -> None:
+    """Bring the motion of a material to rest and fill its rows, J, and E of the desk.
 
-    The posterior is long in some directions and narrow in others, so that slopes that are off by a per cent point out
-    of it. The motion is brought to rest before, and the rows of the material are filled as well.
+    E is small beside the slopes on a bare cosine and not to be neglected: the posterior is long in some directions and
+    narrow in others, so that slopes that are off by a per cent point out of it.
     """
     scans, rows = scene.amplitude.shape[1], scene.orders.shape[0]
     room, columns = desk.room, scene.columns

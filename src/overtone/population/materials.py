@@ -21,6 +21,7 @@ from overtone.population.sampler import MOST_NODES, profile, walk
 _Floats = npt.NDArray[np.float64]
 
 CHAINS = 2
+_AT_ONCE = 2  # materials whose profiles are followed side by side
 _ADAPTING, _ROUNDS = 60, 6  # steps of a round in which the walk learns its stride
 _LEG, _MOST_LEGS = 400, 12  # steps of a leg of a chain, and legs at most
 _STRIDE, _AIM = 0.7, 0.55  # the first stride, and the share of the steps that should be accepted
@@ -201,7 +202,7 @@ def profiles_of(
         )
         return _profile_of(question, alone, before[k].at(0.5) if before else None)
 
-    with ThreadPoolExecutor(CHAINS) as threads:
+    with ThreadPoolExecutor(_AT_ONCE) as threads:
         found = list(threads.map(of, range(materials)))
     parts = [part for part in found if part is not None]
     return parts if len(parts) == materials else None

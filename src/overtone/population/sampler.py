@@ -25,11 +25,11 @@ from overtone.population.forward import (
     add_priors,
     all_at_rest,
     all_rows,
-    correct_slopes,
     inside,
     log_prior,
     misfit,
     new_desk,
+    one_at_rest,
     settle_materials,
 )
 
@@ -84,7 +84,7 @@ def profile(
         for k in range(MOST_NODES):
             value = settle_materials(scene, prior, sticky, loss, here, at, desk)
             if value > -math.inf:
-                correct_slopes(scene, 0, here[0], at[0], desk)
+                one_at_rest(scene, 0, here[0], at[0], desk)
                 value = settle_materials(scene, prior, sticky, loss, here, at, desk)
             if k > 0 and step > _SHORTEST_STEP and not abs(value - last) < _TOO_FAR and value > -math.inf:
                 step *= 0.5

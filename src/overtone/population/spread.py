@@ -76,6 +76,7 @@ def spread_of(
         return float(value), slope
 
     bounds = [(math.log(_LEAST), math.log(_MOST))] * names.size
+    # a method that needs no library of linear algebra, whose threads would wait for the cores that kernels hold
     found = minimize(cost, np.full(names.size, centre), method="TNC", bounds=bounds, jac=True)
     log_s = found.x
     hessian = _hessian(cost, log_s)
