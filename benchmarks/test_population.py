@@ -1,8 +1,9 @@
 """A whole scan of 256 x 256 pixels by method population, beside what a user would write today.
 
 Three materials under an instrument that is off by what its calibration states. The rival is a loop of SciPy over the
-pixels with the closed forms of this package, from one start: without intervals, phases or shared errors. Divide: read
-the seconds for 65,536 pixels in the last column. That the answers are right is shown in docs/worlds.md.
+pixels with the closed forms of this package, from one start: without intervals, phases or shared errors. It is given
+a part of the pixels; what is printed (`-s`) is for the whole scan. That the answers are right is shown in
+docs/worlds.md.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from overtone.inversion.linear import stiffness
 
 SHAPE = (256, 256)
 PRIORS = {"modulus": ot.Prior("log-normal", 0.45e9, 4.0), "adhesion": ot.Prior("log-normal", 5.7e-9, 2.8)}
-LOOPED = 64  # pixels that the loop of SciPy is given
+LOOPED = 512  # pixels that the loop of SciPy is given
 GROUP = "a whole scan, 256 x 256"
 
 
@@ -44,8 +45,9 @@ def asked(sample: Any, model: str, motion: str) -> dict[str, Any]:
 
 
 def noted(benchmark: Any, pixels: int) -> None:
-    per_pixel = benchmark.stats["min"] / pixels
-    benchmark.extra_info["seconds for 65,536 pixels"] = round(per_pixel * SHAPE[0] * SHAPE[1], 2)
+    seconds = benchmark.stats["min"] / pixels * SHAPE[0] * SHAPE[1]
+    benchmark.extra_info["seconds for 256 x 256 pixels"] = round(seconds, 2)
+    print(f"{benchmark.name}: {seconds:.1f} s for 256 x 256 pixels")
 
 
 @pytest.mark.benchmark(group=GROUP)
@@ -92,11 +94,12 @@ def test_loop_of_scipy(benchmark: Any, sample: Any) -> None:
         model = np.append(S * work[0] + F * work[2], -S * tangent * work[0, 1])
         return np.asarray((model - y) / np.abs(y).max())
 
-    def loop() -> None:
-        for y, A in zip(observed, amplitude, strict=True):
+    def loop(count: int) -> None:
+        for y, A in zip(observed[:count], amplitude[:count], strict=True):
             top = np.log([1e12, 1e-6, 2.0, 2.0 * A * 0.999])
             start, bottom = np.log([1e9, 10e-9, 0.05, 5e-9]), np.log([1e4, 1e-12, 1e-6, 1e-12])
             least_squares(left_over, start, bounds=(bottom, top), args=(y, A))
 
-    benchmark.pedantic(loop, rounds=1, iterations=1)
+    loop(1)  # compiles
+    benchmark.pedantic(loop, (LOOPED,), rounds=1, iterations=1)
     noted(benchmark, LOOPED)
