@@ -7,7 +7,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from overtone.kernels import lean
+from overtone.dynamics.balance import solve_in_place
+from overtone.kernels import inner, lean
 
 _Floats = npt.NDArray[np.float64]
 
@@ -34,7 +35,7 @@ def cholesky(H: _Floats) -> bool:
 
 @lean
 def solve_factored(L: _Floats, b: _Floats, out: _Floats) -> None:
-    """Fill the solution of L L' out = b."""
+    """Fill the solution of L L' out = b; ``out`` may be b."""
     n = b.shape[0]
     for a in range(n):
         total = b[a]
@@ -61,38 +62,17 @@ def squared_length(L: _Floats, step: _Floats) -> float:
     return length
 
 
-@lean
+@inner
 def eliminate(A: _Floats, b: _Floats) -> float:
     """Replace b by the solution x of A x = b; return ln of the size of the determinant of A.
 
-    Gauss's elimination, rows in the order of their largest member. Of A nothing is left; where it is singular minus
-    infinity is returned, and b is none.
+    Of A what is left is no use; where it is singular minus infinity is returned, and b is none.
     """
-    n = b.shape[0]
+    if solve_in_place(A, b) == 0.0:
+        return -math.inf
     log_det = 0.0
-    for a in range(n):
-        best, largest = a, abs(A[a, a])
-        for c in range(a + 1, n):
-            if abs(A[c, a]) > largest:
-                best, largest = c, abs(A[c, a])
-        if not largest > 0.0:
-            return -math.inf
-        if best != a:
-            for c in range(a, n):
-                A[a, c], A[best, c] = A[best, c], A[a, c]
-            b[a], b[best] = b[best], b[a]
-        log_det += math.log(largest)
-        for c in range(a + 1, n):
-            share = A[c, a] / A[a, a]
-            if share != 0.0:
-                for d in range(a + 1, n):
-                    A[c, d] -= share * A[a, d]
-                b[c] -= share * b[a]
-    for a in range(n - 1, -1, -1):
-        total = b[a]
-        for c in range(a + 1, n):
-            total -= A[a, c] * b[c]
-        b[a] = total / A[a, a]
+    for a in range(b.shape[0]):
+        log_det += math.log(abs(A[a, a]))  # the pivots
     return log_det
 
 

@@ -20,7 +20,7 @@ from overtone.inversion.motion import Followed, Room, new_room
 from overtone.inversion.posterior import Prior
 from overtone.inversion.table import DEEPEST, SHALLOWEST
 from overtone.kernels import inner, kernel, lean
-from overtone.population.algebra import cholesky
+from overtone.population.algebra import cholesky, solve_factored, squared_length
 from overtone.population.answer import Answer, add_changes, differentiate, new_answer, renew
 
 _Floats = npt.NDArray[np.float64]
@@ -438,19 +438,8 @@ def settle_materials(
             _hold_back(a, here, desk.low, desk.high, desk.H, desk.g)
         if not cholesky(desk.H):
             return -math.inf
-        # L L' step = g; its squared length in standard deviations is |L^-1 g|^2
-        length = 0.0
-        for a in range(m):
-            total = desk.g[a]
-            for b in range(a):
-                total -= desk.H[a, b] * desk.g[b]
-            desk.g[a] = total / desk.H[a, a]
-            length += desk.g[a] ** 2
-        for a in range(m - 1, -1, -1):
-            total = desk.g[a]
-            for b in range(a + 1, m):
-                total -= desk.H[b, a] * desk.g[b]
-            desk.g[a] = total / desk.H[a, a]
+        solve_factored(desk.H, desk.g, desk.g)
+        length = squared_length(desk.H, desk.g)
         share = 1.0
         for k in range(materials):
             for s in range(scans):
