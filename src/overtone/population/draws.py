@@ -101,7 +101,7 @@ def mixture_of(
     contact = question.columns.contact
     for i, d in enumerate(chosen):
         x, v, z = float(draws.ln_E[d, k]), draws.unknowns[d, k], draws.z[d]
-        response = respond(settings, question, unit, amplitude, k, joint.tiles[k], x, v, free)
+        response = respond(settings, question, unit, amplitude, k, joint.tiles[k], x, v, free, s0.value)
         s = s0.value * np.exp(s0.root @ generator.standard_normal(PROPERTIES))
         variances = np.concatenate(
             [np.where(free, s, 0.0) ** 2, np.full(scans, 0.0 if question.loss else _LOOSE**2)]

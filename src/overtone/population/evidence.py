@@ -203,6 +203,21 @@ def beyond_scatter(means: _Floats, count: _Floats, within: _Floats) -> _Floats:
     return np.asarray((seen - max(count.size - 1, 0) * within) / spare)
 
 
+def scatter_of(tiles: Tiles, z: _Floats) -> _Floats:
+    """Return the covariance (datum, datum) of the pixels of a phase about its mean, were it not for the instrument.
+
+    Parameters
+    ----------
+    tiles : Tiles
+        Of the phase.
+    z : array (source,)
+        What the calibration left open, as far as it is known: it makes tiles differ that are alike.
+    """
+    away = (tiles.changes - np.average(tiles.changes, axis=0, weights=tiles.pixels)) @ z
+    between = beyond_scatter(tiles.y - away, tiles.pixels.astype(float), tiles.within)
+    return tiles.within + _positive(between, tiles.within)
+
+
 def _positive(matrix: _Floats, scale: _Floats) -> _Floats:
     """Return the nearest matrix that is none but positive, in the frame where another is the unit."""
     L = np.linalg.cholesky(scale + 1e-12 * np.diag(np.diag(scale)))

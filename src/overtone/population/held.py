@@ -8,6 +8,8 @@ curvature times the variance of the properties. Small as this is, what is ill-co
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 
@@ -28,10 +30,11 @@ _Complex = npt.NDArray[np.complex128]
 
 PROPERTIES = 3
 """ln of the elastic unknown, of the force of adhesion and of the loss tangent."""
-_STEP = 0.1
 _STEPS = 30
 _CLOSE = 1e-10
 _LONGEST = 0.3
+_PART = 0.1  # of ln of a property, from one state to the next
+_HALVINGS = 5
 
 
 @lean
@@ -60,10 +63,14 @@ def _held(
     goal: float,
     desk: Desk,
     f: _Floats,
-) -> None:
-    """Fill the rows of a material at the indentation that balances the drive; ``v`` holds a start and is moved."""
+) -> bool:
+    """Fill the rows of a material at the indentation that balances the drive, and return whether there is one near.
+
+    ``v`` holds a start and is moved. There may be two: one attractive and one repulsive, between which the drive has a
+    summit. The one on the side of the start counts.
+    """
     at = FIRST_DEPTH + scan
-    step = 0.0
+    uphill = 0.0
     for _ in range(_STEPS):
         rows_of_material(scene, k, scan, x, v, desk.room, desk.work, f, desk.part)
         off = _drive(scene, f, first, still) - goal
@@ -75,12 +82,15 @@ def _held(
                 else:
                     cons, d_cons = f[r], desk.part[r, 2]
         slope = -2.0 * (first[0] - cons) * d_cons + 2.0 * (first[1] + diss) * d_diss
-        if slope == 0.0:
-            break
+        if uphill == 0.0:
+            uphill = slope
+        if not slope * uphill > 0.0:
+            return False
         step = min(max(-off / slope, -_LONGEST), _LONGEST)
         v[at] = min(max(v[at] + step, SHALLOWEST), DEEPEST)
         if abs(step) < _CLOSE:
-            break
+            return True
+    return False
 
 
 @kernel
@@ -92,6 +102,7 @@ def curvature(
     first: _Floats,
     still: _Complex,
     free: npt.NDArray[np.bool_],
+    reach: _Floats,
     f: _Floats,
     J: _Floats,
     H: _Floats,
@@ -114,6 +125,9 @@ def curvature(
         f_1 as it was measured, for models without loss [unit].
     free : array (PROPERTIES,)
         Properties that the model has.
+    reach : array (PROPERTIES,)
+        Steps of ln of each, made shorter where no drive could hold the amplitude at their ends. With the square root of 3 times the scatter of a property, slopes and curvatures are those
+        of the parabola that fits best over it, bends of third order included (Gauss and Hermite's three points).
     f, J, H : array (datum,), (datum, PROPERTIES), (datum, PROPERTIES, PROPERTIES)
         Filled [unit], rows of all scans of the material.
     depth : array (scan, PROPERTIES)
@@ -128,42 +142,56 @@ def curvature(
     t = np.zeros(2 * PROPERTIES)
     pair = np.zeros(rows)
     J[:], H[:], depth[:], along[:] = 0.0, 0.0, 0.0, 0.0
+    steps = np.empty(PROPERTIES)
     for s in range(scans):
         block = s * rows
+        steps[:] = reach
         desk.room.f[:] = 0.0
         for _ in range(6):
             rows_of_material(scene, k, s, x, v, desk.room, desk.work, f[block : block + rows], desk.part)
         for r in range(rows):
             along[block + r, s] = desk.part[r, 2]
         here = f[block : block + rows]
+        motion = desk.room.f.copy()
         goal = _drive(scene, here, first[s], still[s])
         for i in range(PROPERTIES):
-            for side in range(2):
-                step = _STEP if side == 0 else -_STEP
-                at[:] = v
-                x_there = x + step if i == 0 else x
-                at[ADHESION] += step if i == 1 else 0.0
-                at[TANGENT] += step if i == 2 else 0.0
-                if free[i]:
-                    _held(scene, k, s, x_there, at, first[s], still[s], goal, desk, there[2 * i + side])
-                t[2 * i + side] = at[FIRST_DEPTH + s]
             if not free[i]:
                 continue
-            depth[s, i] = (t[2 * i] - t[2 * i + 1]) / (2.0 * _STEP)
+            for _ in range(_HALVINGS):
+                found = True
+                for side in range(2):
+                    step = steps[i] if side == 0 else -steps[i]
+                    at[:], desk.room.f[:] = v, motion
+                    parts = int(math.ceil(steps[i] / _PART))
+                    for part in range(1, parts + 1):
+                        far = step * part / parts
+                        x_there = x + far if i == 0 else x
+                        at[ADHESION] = v[ADHESION] + far if i == 1 else v[ADHESION]
+                        at[TANGENT] = v[TANGENT] + far if i == 2 else v[TANGENT]
+                        f_there = there[2 * i + side]
+                        found &= _held(scene, k, s, x_there, at, first[s], still[s], goal, desk, f_there)
+                    t[2 * i + side] = at[FIRST_DEPTH + s]
+                if found:
+                    break
+                steps[i] *= 0.5
+            depth[s, i] = (t[2 * i] - t[2 * i + 1]) / (2.0 * steps[i])
             for r in range(rows):
                 up, down = there[2 * i, r], there[2 * i + 1, r]
-                J[block + r, i] = (up - down) / (2.0 * _STEP)
-                H[block + r, i, i] = (up + down - 2.0 * here[r]) / _STEP**2
+                J[block + r, i] = (up - down) / (2.0 * steps[i])
+                H[block + r, i, i] = (up + down - 2.0 * here[r]) / steps[i] ** 2
         for i in range(PROPERTIES):
             for j in range(i):
                 if not (free[i] and free[j]):
                     continue
                 at[:] = v
                 at[FIRST_DEPTH + s] = t[2 * i] + t[2 * j] - v[FIRST_DEPTH + s]
-                x_there = x + _STEP if j == 0 else x
-                at[ADHESION] += _STEP if 1 in (i, j) else 0.0
-                at[TANGENT] += _STEP if i == 2 else 0.0
-                _held(scene, k, s, x_there, at, first[s], still[s], goal, desk, pair)
+                x_there = x + steps[0] if j == 0 else x
+                at[ADHESION] += steps[1] if 1 in (i, j) else 0.0
+                at[TANGENT] += steps[2] if i == 2 else 0.0
+                desk.room.f[:] = motion
+                if not _held(scene, k, s, x_there, at, first[s], still[s], goal, desk, pair):
+                    continue
                 for r in range(rows):
-                    H[block + r, i, j] = (pair[r] - there[2 * i, r] - there[2 * j, r] + here[r]) / _STEP**2
+                    twist = pair[r] - there[2 * i, r] - there[2 * j, r] + here[r]
+                    H[block + r, i, j] = twist / (steps[i] * steps[j])
                     H[block + r, j, i] = H[block + r, i, j]

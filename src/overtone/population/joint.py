@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -10,15 +11,26 @@ import numpy as np
 import numpy.typing as npt
 
 from overtone.inversion.pixels import Setting
-from overtone.population.evidence import Bend, Evidence, Harvest, Known, Tiles, evidence_of, tiles_of
+from overtone.population.evidence import (
+    Bend,
+    Evidence,
+    Harvest,
+    Known,
+    Tiles,
+    evidence_of,
+    scatter_of,
+    tiles_of,
+)
 from overtone.population.held import PROPERTIES, curvature
 from overtone.population.materials import Alone, Draws, Question, draw_materials, profiles_of
-from overtone.population.spread import Spread, spread_of
+from overtone.population.spread import TYPICAL, Spread, spread_of
 
 _Floats = npt.NDArray[np.float64]
 _Indices = npt.NDArray[np.intp]
 
 _PASSES = 3
+_REACH = (0.05, 0.35)
+"""Least and longest step of ln of a property."""
 _AT_FIRST = 0.02  # of the scatter of pixels, by which means may be off before their bend is known
 _LEAST_ERROR = 0.1  # of a bend: distributions are not quite normal ones
 _CORRELATED = 0.3  # standard deviation of the correlation of two properties within a phase
@@ -106,6 +118,7 @@ def infer(
     free = free_properties(question)
     # before the bend of a phase is known its mean is trusted less
     bends = [Bend(np.zeros(size), _root(_AT_FIRST * t.within)) for t in tiles]
+    scatter = [np.full(PROPERTIES, TYPICAL) for _ in tiles]
     spreads: list[Spread] = []
     responses: list[Response] = []
     alone: list[Alone] | None = None
@@ -114,20 +127,24 @@ def infer(
         alone = profiles_of(question, evidence, amplitude, known, alone or ())
         if alone is None:
             return None
+        shared = tiles[0].changes.shape[2]
+        z = np.linalg.solve(evidence.z_precision, evidence.z_pull)[:shared]
         spreads, responses, bends = [], [], []
         for k, t in enumerate(tiles):
             x, v = alone[k].at(0.5)
-            response = respond(settings, question, evidence.unit, amplitude, k, t, x, v, free)
+            response = respond(settings, question, evidence.unit, amplitude, k, t, x, v, free, scatter[k])
             loose = np.zeros((size, 0)) if question.loss else response.along
             spread = spread_of(
-                t.within / evidence.unit**2,
+                scatter_of(t, z) / evidence.unit**2,
                 data.noise / evidence.unit**2,
                 response.J,
+                response.H,
                 free,
                 len(members[k]),
                 loose,
             )
             spreads.append(spread)
+            scatter[k] = spread.value
             responses.append(response)
             bends.append(_bend(response, spread, evidence.unit))
     evidence = evidence_of(tiles, bends, known)
@@ -153,8 +170,9 @@ def respond(
     x: float,
     v: _Floats,
     free: npt.NDArray[np.bool_],
+    scatter: _Floats,
 ) -> Response:
-    """Return how the pixels of a phase about a material go with their properties."""
+    """Return how the pixels of a phase about a material go with their properties, as far as these scatter."""
     scans, rows = len(settings), question.rows.orders.size
     scene = question.scene(np.empty(0), np.empty((0, 0)), amplitude, unit, [])
     held = _held(settings, question, tiles, unit)
@@ -162,7 +180,8 @@ def respond(
     H = np.zeros((rows * scans, PROPERTIES, PROPERTIES))
     depth = np.zeros((scans, PROPERTIES))
     along = np.zeros((rows * scans, scans))
-    curvature(scene, k, x, v, held.first, held.still, free, f, J, H, depth, along)
+    reach = np.clip(math.sqrt(3.0) * scatter, *_REACH)
+    curvature(scene, k, x, v, held.first, held.still, free, reach, f, J, H, depth, along)
     return Response(f, J, H, depth, along)
 
 

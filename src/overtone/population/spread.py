@@ -16,6 +16,8 @@ _Floats = npt.NDArray[np.float64]
 TYPICAL, FACTOR = 0.12, 2.0
 """Prior of the standard deviation of ln of a property within a phase: its median, and the factor of one deviation."""
 _LEAST, _MOST = 1e-3, 1.5
+_SLOPES = 0.03
+"""Relative accuracy of slopes at a median material that is itself not known."""
 _FREEDOM_LOST = 0.02  # share of the pixels that count: neighbours are alike
 
 
@@ -31,7 +33,13 @@ class Spread(NamedTuple):
 
 
 def spread_of(
-    within: _Floats, noise: _Floats, J: _Floats, free: npt.NDArray[np.bool_], pixels: int, loose: _Floats
+    within: _Floats,
+    noise: _Floats,
+    J: _Floats,
+    H: _Floats,
+    free: npt.NDArray[np.bool_],
+    pixels: int,
+    loose: _Floats,
 ) -> Spread:
     """Return the spread that makes the scatter of the pixels of a phase likeliest.
 
@@ -43,6 +51,9 @@ def spread_of(
         Of the noise alone.
     J : array (datum, PROPERTIES)
         Change of the rows with ln of each property.
+    H : array (datum, PROPERTIES, PROPERTIES)
+        And its change with them: where two properties do nearly the same, what their squares do to the scatter would
+        be taken for a difference of the two, and they for many times as wide as they are.
     free : array (PROPERTIES,)
         Properties that the model has.
     pixels : int
@@ -55,24 +66,29 @@ def spread_of(
 
     scale = 1.0 / np.sqrt(np.diag(noise))
     R, N, J = within * np.outer(scale, scale), noise * np.outer(scale, scale), J * scale[:, None]
+    H = H * scale[:, None, None]
     if loose.shape[1]:
         keep = null_space((loose * scale[:, None]).T)
-        R, N, J = keep.T @ R @ keep, keep.T @ N @ keep, keep.T @ J
+        R, N, J, H = keep.T @ R @ keep, keep.T @ N @ keep, keep.T @ J, np.tensordot(keep.T, H, 1)
     names = np.flatnonzero(free)
-    J = J[:, names]
+    J, H = J[:, names], H[:, names[:, None], names]
+    steep = (_SLOPES * J) ** 2
     n = max(pixels * _FREEDOM_LOST, min(pixels, 20))
     centre, width = math.log(TYPICAL), math.log(FACTOR)
 
     def cost(log_s: _Floats) -> tuple[float, _Floats]:
         """Return minus ln of the density, and its slope."""
         s2 = np.exp(2.0 * log_s)
-        V = N + (J * s2) @ J.T
+        bent = np.einsum("rij,j,sij->irs", H, s2, H)
+        V = N + (J * s2) @ J.T + 0.5 * np.tensordot(s2, bent, 1) + np.diag(steep @ s2)
         _, log_det = np.linalg.slogdet(V)
         P = np.linalg.inv(V)
-        PR, PJ = P @ R, P @ J
+        PR = P @ R
+        # dV/ds2 of each property
+        rise = np.einsum("ri,si->irs", J, J) + bent + np.einsum("ri,rs->irs", steep, np.eye(len(steep)))
         away = (log_s - centre) / width
         value = 0.5 * n * (log_det + np.trace(PR)) + 0.5 * (away**2).sum()
-        slope = n * s2 * ((J * PJ).sum(axis=0) - (PJ * (R @ PJ)).sum(axis=0)) + away / width
+        slope = n * s2 * np.einsum("rs,isr->i", P - PR @ P, rise) + away / width
         return float(value), slope
 
     bounds = [(math.log(_LEAST), math.log(_MOST))] * names.size
