@@ -131,9 +131,7 @@ def shared_changes(
     order: an error that moves a signal by as much as it has is beyond that, and leaves nothing determined anyway.
     """
     read = redo(clean, calibration.values, calibration.amplitude, **where)
-    values, vectors = np.linalg.eigh(calibration.covariance / np.outer(*2 * [_scale(calibration)]))
-    root = _scale(calibration)[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
-    root = root[:, values > 1e-12]
+    root = _root(calibration)
 
     def forces(at: Mapping[str, float]) -> npt.NDArray[np.complex128]:
         signals = undo(read, at, calibration.amplitude, **where)
@@ -145,10 +143,22 @@ def shared_changes(
         steps = dict(zip(calibration.names, _STEP * column, strict=True))
         there = {name: value + steps.get(name, 0.0) for name, value in calibration.values.items()}
         changes[..., k] = (forces(there) - here) / _STEP
-    radius = np.zeros(root.shape[1])
-    if "radius" in calibration.names:
-        radius = root[calibration.names.index("radius")] / calibration.values["radius"]
-    return changes, radius
+    return changes, relative_changes(calibration, "radius")
+
+
+def relative_changes(calibration: Calibration, name: str) -> _Floats:
+    """Return the change of ln of an unknown with each source (source,) of `shared_changes`; zeros where it is known."""
+    root = _root(calibration)
+    if name not in calibration.names:
+        return np.zeros(root.shape[1])
+    return np.asarray(root[calibration.names.index(name)] / calibration.values[name])
+
+
+def _root(calibration: Calibration) -> _Floats:
+    """Return what one standard deviation of each source does to the unknowns (unknown, source)."""
+    values, vectors = np.linalg.eigh(calibration.covariance / np.outer(*2 * [_scale(calibration)]))
+    root = _scale(calibration)[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+    return np.asarray(root[:, values > 1e-12])
 
 
 def _scale(calibration: Calibration) -> _Floats:

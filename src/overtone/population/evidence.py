@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from overtone.instrument.shared import relative_changes
 from overtone.instrument.signals import Positions, Signals
 from overtone.inversion.pixels import Setting, Shared, in_rows
 
@@ -76,6 +77,8 @@ class Tiles(NamedTuple):
     """(tile, datum, source): what each shared error adds to what is concluded from the readings [N]."""
     radius: _Floats
     """(source,): and to ln R of the tip."""
+    stiffness: _Floats
+    """(source,): and to ln of the stiffness of the lever, of which every force is a multiple."""
     pixels: _Indices
     """(tile,): how many."""
     within: _Floats
@@ -137,7 +140,7 @@ def tiles_of(settings: Sequence[Setting], data: Harvest, members: _Indices, tile
     between = _positive((tiles - 1) * excess + _PRIOR_TILES * typical * 0.25, within) / (
         tiles - 1 + _PRIOR_TILES
     )
-    changes, radius = [], np.zeros(0)
+    changes, radius, stiffness = [], np.zeros(0), np.zeros(0)
     place = np.zeros((int(kept.sum()), 3))
     for i, setting in enumerate(settings):
         if setting.shared is None:
@@ -149,13 +152,17 @@ def tiles_of(settings: Sequence[Setting], data: Harvest, members: _Indices, tile
         shared = reads_alike(setting.shared, members, where)
         if i == 0:
             place = np.stack([shared.where.height, shared.where.x, shared.where.y], axis=1)
+            stiffness = relative_changes(shared.calibration, "stiffness")
         added, radius = sources_of(settings, i, shared)
         changes.append(added)
-    radius = np.concatenate([radius, np.zeros(changes[0].shape[2] - radius.size)])
+    radius, stiffness = (
+        np.concatenate([part, np.zeros(changes[0].shape[2] - part.size)]) for part in (radius, stiffness)
+    )
     return Tiles(
         chosen,
         np.concatenate(changes, axis=1),
         radius,
+        stiffness,
         count[kept],
         within,
         between,
@@ -291,8 +298,29 @@ class Evidence(NamedTuple):
         return inverse(self.covariance)
 
 
-def evidence_of(phases: Sequence[Tiles], bends: Sequence[Bend], known: Sequence[Known] = ()) -> Evidence:
-    """Return the evidence of phases, with what is known of some moduli."""
+def evidence_of(
+    phases: Sequence[Tiles], bends: Sequence[Bend], known: Sequence[Known], unknowns: int
+) -> Evidence:
+    """Return the evidence of phases, with what is known of some moduli.
+
+    Parameters
+    ----------
+    phases : sequence of Tiles
+        What was measured of each.
+    bends : sequence of Bend
+        Of each.
+    known : sequence of Known
+        Moduli.
+    unknowns : int
+        Of a phase.
+
+    Notes
+    -----
+    Every force is a multiple of the stiffness of the lever, that of the noise included: what is concluded of ln of the
+    unknowns from a stiffer lever is as sharp as from a softer one. A Gaussian of one covariance, whatever the
+    stiffness, has room for more unknowns at weak forces than at strong ones, in each direction by the factor that the
+    forces differ by. The stiffness is given back what that would take off it.
+    """
     size = phases[0].y.shape[1]
     shared = phases[0].changes.shape[2]
     own = bends[0].errors.shape[1]
@@ -301,6 +329,7 @@ def evidence_of(phases: Sequence[Tiles], bends: Sequence[Bend], known: Sequence[
     unit = float(np.median(np.abs(phases[0].y)))
     statistical, mean, changes = np.zeros((n, n)), np.zeros(n), np.zeros((n, sources))
     P, b = np.eye(sources), np.zeros(sources)
+    b[: phases[0].stiffness.size] = unknowns * len(phases) * phases[0].stiffness
     radius = np.zeros(sources)
     radius[: phases[0].radius.size] = phases[0].radius
     for k, tiles in enumerate(phases):

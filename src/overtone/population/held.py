@@ -126,8 +126,9 @@ def curvature(
     free : array (PROPERTIES,)
         Properties that the model has.
     reach : array (PROPERTIES,)
-        Steps of ln of each, made shorter where no drive could hold the amplitude at their ends. With the square root of 3 times the scatter of a property, slopes and curvatures are those
-        of the parabola that fits best over it, bends of third order included (Gauss and Hermite's three points).
+        Steps of ln of each, made shorter where no drive could hold the amplitude at their ends. With the square root of
+        3 times the scatter of a property, slopes and curvatures are those of the parabola that fits best over it, bends
+        of third order included (Gauss and Hermite's three points).
     f, J, H : array (datum,), (datum, PROPERTIES), (datum, PROPERTIES, PROPERTIES)
         Filled [unit], rows of all scans of the material.
     depth : array (scan, PROPERTIES)
@@ -162,7 +163,7 @@ def curvature(
                 for side in range(2):
                     step = steps[i] if side == 0 else -steps[i]
                     at[:], desk.room.f[:] = v, motion
-                    parts = int(math.ceil(steps[i] / _PART))
+                    parts = math.ceil(steps[i] / _PART)
                     for part in range(1, parts + 1):
                         far = step * part / parts
                         x_there = x + far if i == 0 else x

@@ -116,6 +116,7 @@ def infer(
     amplitude = np.stack([t.amplitude for t in tiles])
     size = data.y.shape[1]
     free = free_properties(question)
+    unknowns = int(free.sum()) + len(settings)
     # before the bend of a phase is known its mean is trusted less
     bends = [Bend(np.zeros(size), _root(_AT_FIRST * t.within)) for t in tiles]
     scatter = [np.full(PROPERTIES, TYPICAL) for _ in tiles]
@@ -123,12 +124,12 @@ def infer(
     responses: list[Response] = []
     alone: list[Alone] | None = None
     for _ in range(_PASSES):
-        evidence = evidence_of(tiles, bends, known)
+        evidence = evidence_of(tiles, bends, known, unknowns)
         alone = profiles_of(question, evidence, amplitude, known, alone or ())
         if alone is None:
             return None
         shared = tiles[0].changes.shape[2]
-        z = np.linalg.solve(evidence.z_precision, evidence.z_pull)[:shared]
+        z = np.asarray(np.linalg.solve(evidence.z_precision, evidence.z_pull))[:shared]
         spreads, responses, bends = [], [], []
         for k, t in enumerate(tiles):
             x, v = alone[k].at(0.5)
@@ -147,7 +148,7 @@ def infer(
             scatter[k] = spread.value
             responses.append(response)
             bends.append(_bend(response, spread, evidence.unit))
-    evidence = evidence_of(tiles, bends, known)
+    evidence = evidence_of(tiles, bends, known, unknowns)
     alone = profiles_of(question, evidence, amplitude, known, alone or ())
     if alone is None:
         return None

@@ -15,8 +15,9 @@ from overtone.inversion.forces import Rows
 from overtone.inversion.motion import Followed
 from overtone.inversion.posterior import Prior
 from overtone.population.evidence import Evidence, Known, inverse, z_given
-from overtone.population.forward import FIRST_DEPTH, Scene, climb, starts_of_material
+from overtone.population.forward import FIRST_DEPTH, Scene
 from overtone.population.sampler import MOST_NODES, profile, walk
+from overtone.population.search import climb, starts_of_material
 
 _Floats = npt.NDArray[np.float64]
 

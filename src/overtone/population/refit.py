@@ -16,16 +16,9 @@ import numpy.typing as npt
 
 from overtone.inversion.posterior import Prior
 from overtone.kernels import kernel
+from overtone.population.beforehand import add_priors, inside, log_prior
 from overtone.population.evidence import inverse
-from overtone.population.forward import (
-    ADHESION,
-    FIRST_DEPTH,
-    TANGENT,
-    Scene,
-    add_priors,
-    inside,
-    log_prior,
-)
+from overtone.population.forward import ADHESION, FIRST_DEPTH, TANGENT, Scene
 from overtone.population.joint import Joint, free_properties
 from overtone.population.laws import Contacts, Law, Surroundings, alternatives, of_the_model
 from overtone.population.materials import Question

@@ -18,20 +18,18 @@ import numpy.typing as npt
 from overtone.inversion.posterior import Prior
 from overtone.kernels import inner, kernel, lean
 from overtone.population.algebra import cholesky, eliminate, in_units, solve_factored, squared_length
+from overtone.population.beforehand import add_priors, inside, log_prior
 from overtone.population.forward import (
     FIRST_DEPTH,
     Desk,
     Scene,
-    add_priors,
     all_at_rest,
     all_rows,
-    inside,
-    log_prior,
     misfit,
     new_desk,
     one_at_rest,
-    settle_materials,
 )
+from overtone.population.search import settle_materials
 
 _Floats = npt.NDArray[np.float64]
 _Complex = npt.NDArray[np.complex128]
