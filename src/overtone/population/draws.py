@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -10,8 +11,9 @@ import numpy.typing as npt
 from overtone.instrument.signals import Positions
 from overtone.inversion.linear import stiffness
 from overtone.inversion.pixels import Setting
+from overtone.population.deviation import Centre, of_the_motion
 from overtone.population.evidence import Tiles, reads_alike, sources_of
-from overtone.population.forward import ADHESION, FIRST_DEPTH, TANGENT
+from overtone.population.forward import ADHESION, FIRST_DEPTH, TANGENT, Scene
 from overtone.population.held import PROPERTIES
 from overtone.population.joint import Joint, free_properties, respond
 from overtone.population.materials import Question
@@ -55,7 +57,7 @@ def mixture_of(
     noise: _Floats,
     exponent: float,
     seed: int,
-) -> tuple[Mixture, _Floats]:
+) -> tuple[Mixture, Centre, _Floats]:
     """Return what turns the harmonics of the pixels of a phase into their properties.
 
     Parameters
@@ -77,6 +79,8 @@ def mixture_of(
     -------
     Mixture
         Quantities as `quantities_of` orders them, logarithms all.
+    Centre
+        The draw in the middle, about which pixels are solved for.
     mahalanobis : array (datum, datum)
         Precision of a pixel about its phase at the median draw [unit^-2].
     """
@@ -91,17 +95,19 @@ def mixture_of(
     f = np.empty((chosen.size, data))
     slope = np.empty((chosen.size, 3, data))
     gain = np.empty((chosen.size, PROPERTIES + scans, data))
-    bends = np.empty((chosen.size, data, PROPERTIES, PROPERTIES))
     lines = np.zeros((chosen.size, len(names), PROPERTIES + scans))
     base, spread = np.empty((chosen.size, len(names))), np.empty((chosen.size, len(names)))
     N = noise / unit**2
+    depth, drawn = np.empty((chosen.size, scans, PROPERTIES)), np.empty((chosen.size, PROPERTIES))
     s0 = joint.spreads[k]
     inverses = np.empty((chosen.size, data, data))
     changes = joint.evidence.changes[k * data : (k + 1) * data, :shared]
     contact = question.columns.contact
     for i, d in enumerate(chosen):
         x, v, z = float(draws.ln_E[d, k]), draws.unknowns[d, k], draws.z[d]
-        response = respond(settings, question, unit, amplitude, k, joint.tiles[k], x, v, free, s0.value)
+        response = respond(
+            settings, question, unit, amplitude, k, joint.tiles[k], x, v, free, np.zeros(PROPERTIES)
+        )
         s = s0.value * np.exp(s0.root @ generator.standard_normal(PROPERTIES))
         variances = np.concatenate(
             [np.where(free, s, 0.0) ** 2, np.full(scans, 0.0 if question.loss else _LOOSE**2)]
@@ -135,6 +141,30 @@ def mixture_of(
             else:
                 along[q, 0], along[q, 2] = share, 1.0
                 base[i, q] = np.log(S / question.columns.loss) + v[TANGENT] + of_radius
-        gain[i], bends[i] = G, response.H
+        gain[i] = G
+        depth[i], drawn[i] = response.depth, np.where(free, s, 0.0)
         spread[i] = np.sqrt(np.maximum(np.einsum("qi,ij,qj->q", along, P, along), 1e-16))
-    return Mixture(f, slope, bends, gain, lines, base, spread), np.median(inverses, axis=0)
+    i = _middle(draws.ln_E[chosen, k], draws.unknowns[chosen, k])
+    x, v = float(draws.ln_E[chosen[i], k]), draws.unknowns[chosen[i], k]
+    scene = question.scene(np.empty(0), np.empty((0, 0)), amplitude, unit, [])
+    motion, by = np.zeros(data), np.zeros((data, 4))
+    of_the_motion(scene, without_motion(scene), k, x, v, motion, by)
+    shift = changes @ draws.z[chosen[i], :shared]
+    loose = math.inf if question.loss else _LOOSE
+    centre = Centre(
+        x, v, motion, by, shift, slope[i], np.asarray(np.linalg.inv(N)), drawn[i], depth[i], loose
+    )
+    return Mixture(f, slope, gain, lines, base, spread, i), centre, np.median(inverses, axis=0)
+
+
+def _middle(ln_E: _Floats, unknowns: _Floats) -> int:
+    """Return which of some draws is nearest to the median of all."""
+    all_of = np.column_stack([ln_E, unknowns])
+    off = (all_of - np.median(all_of, axis=0)) / np.maximum(all_of.std(axis=0), 1e-12)
+    return int(np.argmin((off**2).sum(axis=1)))
+
+
+def without_motion(scene: Scene) -> Scene:
+    """Return a scene on bare cosines."""
+    none = scene.followed._replace(tip=scene.followed.tip[:0])
+    return scene._replace(followed=none)

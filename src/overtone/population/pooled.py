@@ -1,8 +1,9 @@
 """Pixels that know of their phase: the posterior of each, with what the whole scan says of its material.
 
-Given the median material of a phase, the spread within it and what the scan shares, a pixel is a small linear
-problem: its own data pull its properties off the median, the spread pulls them back. Draws of what is given make a
-mixture of such answers, and quantiles of that mixture are the interval of the pixel.
+Given the median material of a phase, the spread within it and what the scan shares, a pixel is a small problem: its own
+data pull its properties off the median, the spread pulls them back. About one material it was solved to all orders (see
+`overtone.population.deviation`), about others what is straight of it is. Draws of what is given make a mixture of such
+answers, and quantiles of that mixture are the interval of the pixel.
 """
 
 from __future__ import annotations
@@ -22,7 +23,6 @@ QUANTILES = (0.05, 0.5, 0.95)
 _REACH, _FINENESS = 8.0, 256
 _NORMAL = np.asarray(ndtr(np.arange(-_REACH * _FINENESS, _REACH * _FINENESS + 2) / _FINENESS), dtype=float)
 _HALVINGS = 60
-_BENDS = 3  # times that the bend is taken off
 _FARTHEST = 2.0  # of ln of a property from the median of its phase
 _CLOSE = 1e-4  # of the spread of a mixture
 
@@ -37,8 +37,6 @@ class Mixture(NamedTuple):
     """(draw, datum): what its phase reads [unit]."""
     tilt: _Floats
     """(draw, 3, datum): and by how much more per height, x and y [unit/m]."""
-    curvature: _Floats
-    """(draw, datum, 3, 3): second derivatives by the first three properties [unit]."""
     gain: _Floats
     """(draw, property, datum): change of a property per harmonic."""
     along: _Floats
@@ -47,6 +45,8 @@ class Mixture(NamedTuple):
     """(draw, quantity): of the median material."""
     spread: _Floats
     """(draw, quantity): standard deviation that is left."""
+    centre: int
+    """Draw about which pixels were solved for."""
 
 
 @inlined
@@ -64,7 +64,14 @@ def _below(x: float) -> tuple[float, float]:
 
 @kernel
 def pool(
-    y: _Floats, place: _Floats, mixture: Mixture, levels: _Floats, quantiles: _Floats, spreads: _Floats
+    y: _Floats,
+    place: _Floats,
+    solved: _Floats,
+    wider: _Floats,
+    mixture: Mixture,
+    levels: _Floats,
+    quantiles: _Floats,
+    spreads: _Floats,
 ) -> None:
     """Fill quantiles of every quantity of every pixel.
 
@@ -74,6 +81,10 @@ def pool(
         Force harmonics at the mean amplitude of the phase [unit].
     place : array (pixel, 3)
         Height, x and y about those of the phase [m].
+    solved : array (pixel, property)
+        Properties about the material in the centre.
+    wider : array (pixel, quantity)
+        Standard deviation that is left of each quantity there, over that of the mixture.
     mixture : Mixture
         Of the phase.
     levels : array (level,)
@@ -88,18 +99,8 @@ def pool(
     properties = mixture.gain.shape[1]
     middles, per_spread = np.empty((quantities, draws)), 1.0 / mixture.spread.T
     of_one = np.searchsorted(_NORMAL, levels) / _FINENESS - _REACH  # quantiles of a normal distribution
-    rest, straight, theta = np.empty(data), np.empty(properties), np.empty(properties)
-    # what the squares of the properties, and the products of two, take off each of them
-    bent, products = np.zeros((draws, properties, 6)), np.empty(6)
-    for s in range(draws):
-        for a in range(properties):
-            for r in range(data):
-                pair = 0
-                for b in range(3):
-                    for c in range(b + 1):
-                        share = 0.5 if b == c else 1.0
-                        bent[s, a, pair] += share * mixture.gain[s, a, r] * mixture.curvature[s, r, b, c]
-                        pair += 1
+    rest, theta = np.empty(data), np.empty((draws, properties))
+    centre = mixture.centre
     for i in range(y.shape[0]):
         for s in range(draws):
             for r in range(data):
@@ -111,31 +112,25 @@ def pool(
                 value = 0.0
                 for r in range(data):
                     value += mixture.gain[s, a, r] * rest[r]
-                straight[a] = value
-                theta[a] = min(max(value, -_FARTHEST), _FARTHEST)
-            for _ in range(_BENDS):
-                pair = 0
-                for b in range(3):
-                    for c in range(b + 1):
-                        products[pair] = theta[b] * theta[c]
-                        pair += 1
-                for a in range(properties):
-                    value = straight[a]
-                    for pair in range(6):
-                        value -= bent[s, a, pair] * products[pair]
-                    theta[a] = min(max(value, -_FARTHEST), _FARTHEST)
+                theta[s, a] = value
+        for a in range(properties):
+            # what is not straight, about the centre, is so about the others
+            bent = solved[i, a] - theta[centre, a]
+            for s in range(draws):
+                theta[s, a] = min(max(theta[s, a] + bent, -_FARTHEST), _FARTHEST)
+        for s in range(draws):
             for q in range(quantities):
                 m = mixture.base[s, q]
                 for a in range(properties):
-                    m += mixture.along[s, q, a] * theta[a]
+                    m += mixture.along[s, q, a] * theta[s, a]
                 middles[q, s] = m
         for q in range(quantities):
-            middle = middles[q]
+            middle, factor = middles[q], wider[i, q]
             mean, square = 0.0, 0.0
             for s in range(draws):
                 mean += middle[s] / draws
             for s in range(draws):
-                square += ((middle[s] - mean) ** 2 + mixture.spread[s, q] ** 2) / draws
+                square += ((middle[s] - mean) ** 2 + (factor * mixture.spread[s, q]) ** 2) / draws
             sd = math.sqrt(square)
             spreads[i, q] = sd
             if not sd > 0.0:
@@ -153,9 +148,9 @@ def pool(
                         x = 0.5 * (low + high)
                     below, slope = 0.0, 0.0
                     for s in range(draws):
-                        part, rise = _below((x - middle[s]) * per_spread[q, s])
+                        part, rise = _below((x - middle[s]) * per_spread[q, s] / factor)
                         below += part
-                        slope += rise * per_spread[q, s]
+                        slope += rise * per_spread[q, s] / factor
                     off = below / draws - levels[level]
                     if off < 0.0:
                         low = x

@@ -33,7 +33,8 @@ from overtone.inversion.result import (
     WIDEST_DETERMINED,
     Sheet,
 )
-from overtone.population.draws import mixture_of, quantities_of, tilts
+from overtone.population.deviation import settle_pixels
+from overtone.population.draws import mixture_of, quantities_of, tilts, without_motion
 from overtone.population.evidence import TILES, Harvest, Known, beyond_scatter, harvest
 from overtone.population.joint import Joint, infer
 from overtone.population.materials import Question
@@ -59,6 +60,8 @@ _DEPTHS = (2, 1)
 """Pixels from the edge of a phase from which on a pixel tells of its material, if so many are left."""
 _LEAST_KEPT = 0.25
 _OUTLIER = 1e-4
+_BAND = 6  # pixels of no phase together that are a border, and no odd pixels
+_WIDER = (0.2, 5.0)  # of what is left open at a pixel, over that at the median of its phase
 _MARKED = 0.5  # share of the marked pixels that make a phase the reference
 
 
@@ -128,6 +131,8 @@ class Found:
         Of the phases.
     members : sequence of array
         Pixels of each phase.
+    at_border : array (pixel,)
+        Pixels that are told nothing: beside another phase, or beside a band of none.
     materials : sequence of Material
         Of each phase.
     table : Materials
@@ -142,6 +147,7 @@ class Found:
     phases: Phases
     names: Sequence[str]
     members: Sequence[_Indices]
+    at_border: npt.NDArray[np.bool_]
     materials: Sequence[Material]
     table: Materials
 
@@ -222,7 +228,10 @@ def find_materials(
         calibration is not None,
         laws_of(materials, question, exponent, called),
     )
-    return Found(settings, data, question, exponent, request.seed, found, called, members, materials, table)
+    at_border = _at_borders(found, bands=not isinstance(request.phases, xr.DataArray)).ravel()
+    return Found(
+        settings, data, question, exponent, request.seed, found, called, members, at_border, materials, table
+    )
 
 
 def pool_scan(found: Found, sheet: Sheet, progress: Callable[[int, int], None] | None) -> None:
@@ -407,6 +416,26 @@ def _away_from_edges(pixels: _Indices, shape: tuple[int, ...]) -> _Indices:
     return pixels
 
 
+def _at_borders(phases: Phases, *, bands: bool) -> npt.NDArray[np.bool_]:
+    """Return which pixels (y, x) have one of another phase beside them, or one of a band between two phases.
+
+    Most of them are of an interphase, however sure it is which side they are nearer to.
+    """
+    from scipy.ndimage import binary_dilation
+    from scipy.ndimage import label as connected
+
+    eight = np.ones((3, 3))
+    border = np.zeros(phases.label.shape, bool)
+    if bands:
+        parts, _ = connected(phases.label == NONE, eight)
+        large = np.bincount(parts.ravel()) >= _BAND
+        border |= binary_dilation((phases.label == NONE) & large[parts], eight)
+    for k in range(phases.count):
+        mine = phases.label == k
+        border |= mine & binary_dilation((phases.label >= 0) & ~mine, eight)
+    return border
+
+
 def _tile_numbers(shape: tuple[int, ...]) -> _Indices:
     rows, columns = shape
     y = np.arange(rows) * TILES // rows
@@ -445,11 +474,15 @@ def _pool_phase(
     """Replace the answers of the pixels of a phase."""
     from scipy.stats import chi2
 
-    settings, data, pixels = found.settings, found.data, found.members[material.index]
+    settings, data = found.settings, found.data
+    pixels = found.members[material.index]
+    pixels = pixels[~found.at_border[pixels]]
+    if not pixels.size:
+        return
     joint, k = material.joint, material.place
     assert joint is not None
     tiles, unit = joint.tiles[k], joint.evidence.unit
-    mixture, precision = mixture_of(
+    mixture, about, precision = mixture_of(
         settings,
         found.question,
         joint,
@@ -467,9 +500,19 @@ def _pool_phase(
         place = np.stack([part[pixels] for part in shared.where], axis=1) - centre
     quantiles = np.empty((len(pixels), len(names), len(QUANTILES)))
     spreads = np.empty((len(pixels), len(names)))
+    settled = np.zeros(len(pixels), bool)
+    bare = without_motion(joint.draws.scene)
+    along = mixture.along[mixture.centre]
+    levels = np.array(QUANTILES)
 
     def run(block: slice) -> None:
-        pool(y[block], place[block], mixture, np.array(QUANTILES), quantiles[block], spreads[block])
+        mine = y[block]
+        solved = np.empty((len(mine), along.shape[1]))
+        covariance = np.empty((len(mine), *2 * solved.shape[1:]))
+        settle_pixels(bare, k, about, mine, place[block], solved, covariance, settled[block])
+        left = np.sqrt(np.einsum("qa,pab,qb->pq", along, covariance, along))
+        wider = np.clip(np.nan_to_num(left / mixture.spread[mixture.centre], nan=1.0), *_WIDER)
+        pool(mine, place[block], solved, wider, mixture, levels, quantiles[block], spreads[block])
 
     run_blocks(run, len(pixels), _BLOCK, progress)
     # a pixel unlike the others of its phase is not told by them what it is
@@ -478,6 +521,7 @@ def _pool_phase(
     fits = distance < chi2.isf(_OUTLIER, y.shape[1]) * max(
         float(np.median(distance)) / chi2.median(y.shape[1]), 1.0
     )
+    fits &= settled
     fits &= sheet.values["status"][pixels] != MISSING_DATA
     fits &= sheet.values["status"][pixels] != NO_CONTACT
     sheet.values["phase"][pixels[~fits]] = NONE
