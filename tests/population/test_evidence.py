@@ -27,6 +27,7 @@ from overtone.population.evidence import (
     evidence_of,
     harvest,
     inverse,
+    scatter_of,
     tiles_of,
     z_given,
 )
@@ -34,6 +35,7 @@ from overtone.quantities import named_array
 from overtone.readings import Reading, with_reading
 
 DATA, SHARED, OWN = 4, 3, 2
+UNKNOWNS = 4
 COMPUTED = 1e-4  # relative accuracy that a harmonic is computed with
 
 
@@ -52,6 +54,7 @@ def a_phase(random, tiles):
             + 0.02 * random.standard_normal((tiles, DATA, SHARED))
         ),
         radius=np.array([0.02, -0.07, 0.05]),
+        stiffness=np.array([0.0, 0.04, -0.02]),
         pixels=random.integers(5, 40, tiles),
         within=1e-18 * (root @ root.T + 1e-4 * np.eye(DATA)),
         between=1e-18 * between @ between.T,
@@ -103,14 +106,23 @@ def dense(tiles, bends, known):
     return y, A, C, K
 
 
+def before(sources):
+    """Return precision and pull of z beforehand, with what two phases of so many unknowns take off the stiffness."""
+    of_lever = np.zeros(sources)
+    of_lever[:SHARED] = [0.0, 0.04, -0.02]
+    return np.eye(sources) + 2 * UNKNOWNS * np.outer(of_lever, of_lever), 2 * UNKNOWNS * of_lever
+
+
 def test_centre_and_covariance_are_those_of_all_tiles_together(phases):
     tiles, bends, known = phases
-    evidence = evidence_of(tiles, bends, known)
+    evidence = evidence_of(tiles, bends, known, UNKNOWNS)
     y, A, C, K = dense(*phases)
-    W = np.linalg.inv(K + C @ C.T)
+    P, pull = before(C.shape[1])
+    W = np.linalg.inv(K + C @ np.linalg.inv(P) @ C.T)
     covariance = np.linalg.inv(A.T @ W @ A)
     scale = np.r_[np.full(2 * DATA, 1e9 * evidence.unit), 1.0]
-    np.testing.assert_allclose(evidence.centre * scale, covariance @ A.T @ W @ y, rtol=1e-8)
+    off = y - C @ np.linalg.solve(P, pull)
+    np.testing.assert_allclose(evidence.centre * scale, covariance @ A.T @ W @ off, rtol=1e-8)
     size = np.sqrt(np.diag(covariance))
     got = evidence.covariance * np.outer(scale, scale) / np.outer(size, size)
     np.testing.assert_allclose(got, covariance / np.outer(size, size), atol=1e-7)
@@ -121,13 +133,14 @@ def test_centre_and_covariance_are_those_of_all_tiles_together(phases):
 
 def test_z_at_given_harmonics_is_that_of_all_tiles_together(phases):
     tiles, bends, known = phases
-    evidence = evidence_of(tiles, bends, known)
+    evidence = evidence_of(tiles, bends, known, UNKNOWNS)
     y, A, C, K = dense(*phases)
     f = evidence.centre + 0.5 * np.sqrt(np.diag(evidence.covariance))
     W = np.linalg.inv(K)
-    P = np.eye(C.shape[1]) + C.T @ W @ C
+    P, pull = before(C.shape[1])
+    P = P + C.T @ W @ C
     scale = np.r_[np.full(2 * DATA, 1e9 * evidence.unit), 1.0]
-    mean = np.linalg.solve(P, C.T @ W @ (y - A @ (f * scale)))
+    mean = np.linalg.solve(P, pull + C.T @ W @ (y - A @ (f * scale)))
     sources = C.shape[1]
     got = z_given(evidence, f[None], np.zeros((1, sources)))[0]
     np.testing.assert_allclose(got, mean, atol=1e-7)
@@ -242,6 +255,41 @@ def test_readings_move_as_an_unknown_larger_than_believed_says(name):
     assert size > 1e-13
     np.testing.assert_allclose(sign * want, off, atol=0.02 * size)
     assert tiles.radius[0] == 0.0
+    of_stiffness = sign * ERRORS[name] if name == "stiffness" else 0.0
+    assert tiles.stiffness[0] == pytest.approx(of_stiffness, rel=1e-9, abs=1e-15)
+
+
+def test_a_lever_is_not_believed_to_be_softer_the_more_unknowns_there_are():
+    """Forces that determine each its own unknown say nothing of the stiffness they all are a multiple of."""
+    phases, error, noise = 3, 0.05, 0.01
+    z, ln_f = np.linspace(-8.0, 8.0, 1601), np.linspace(-1.0, 1.0, 4001)
+    # read: 1. True: f = 1 + error z, whose logarithm is even beforehand; a phase by itself, integrated over it
+    off = 1.0 + error * z[:, None] - np.exp(ln_f)
+    of_one = np.exp(-0.5 * (off / noise) ** 2).sum(axis=1)
+    shift = 1 * phases * error
+    plain, told = -0.5 * z**2, shift * z - 0.5 * (1.0 + phases * error**2) * z**2
+    for prior, want in ((plain, -shift), (told, 0.0)):
+        weight = np.exp(prior) * of_one**phases
+        assert (weight @ z) / weight.sum() == pytest.approx(want, abs=0.01)
+    tiles = a_phase(np.random.default_rng(1), 3)._replace(stiffness=np.array([error, 0.0, 0.0]))
+    still = Bend(np.zeros(DATA), np.zeros((DATA, 0)))
+    told, plain = (evidence_of([tiles] * phases, [still] * phases, (), n) for n in (1, 0))
+    np.testing.assert_allclose(told.z_pull - plain.z_pull, [shift, 0.0, 0.0], atol=1e-12)
+
+
+def test_the_scatter_of_a_phase_is_that_of_its_pixels_without_the_instrument():
+    random = np.random.default_rng(5)
+    count, each = 150, 30
+    within, between = np.diag([1.0, 4.0, 0.5, 2.0]), np.outer(*2 * [np.array([1.0, -1.0, 0.5, 0.0])])
+    changes = random.standard_normal((count, DATA, SHARED))
+    z = np.array([1.0, -0.5, 2.0])
+    means = random.multivariate_normal(np.zeros(DATA), between + within / each, count)
+    tiles = a_phase(random, count)._replace(
+        y=means + changes @ z, changes=changes, pixels=np.full(count, each), within=within
+    )
+    np.testing.assert_allclose(scatter_of(tiles, z), within + between, atol=0.5)
+    # taken for the sample's, what the instrument adds would make it many times that
+    assert np.trace(scatter_of(tiles, np.zeros(SHARED))) > 2.0 * np.trace(within + between)
 
 
 def test_a_known_modulus_tells_the_radius():
@@ -256,9 +304,11 @@ def test_a_known_modulus_tells_the_radius():
     believed = sample_modulus(nominal, of_wide.factor / compliance)
     assert math.log(believed / modulus) == pytest.approx(0.5 * error, rel=0.05, abs=0)
     tiles = a_phase(np.random.default_rng(1), 3)
-    tiles = tiles._replace(changes=np.zeros_like(tiles.changes[..., :1]), radius=np.array([error]))
+    tiles = tiles._replace(
+        changes=np.zeros_like(tiles.changes[..., :1]), radius=np.array([error]), stiffness=np.zeros(1)
+    )
     still = Bend(np.zeros(DATA), np.zeros((DATA, 0)))
-    evidence = evidence_of([tiles], [still], (Known(0, math.log(modulus), 1e-5, exponent),))
+    evidence = evidence_of([tiles], [still], (Known(0, math.log(modulus), 1e-5, exponent),), 0)
     f = np.r_[evidence.centre[:DATA], math.log(believed)]
     z = z_given(evidence, f[None], np.zeros((1, 1)))[0, 0]
     assert z == pytest.approx(1.0, rel=0.05, abs=0)

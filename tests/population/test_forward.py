@@ -22,12 +22,11 @@ from overtone.population.forward import (
     FIRST_DEPTH,
     TANGENT,
     all_rows,
-    climb,
     new_desk,
     one_at_rest,
-    starts_of_material,
 )
 from overtone.population.materials import Question
+from overtone.population.search import climb, starts_of_material
 
 PROBE, POISSON = demo_probe(), 0.35
 RECORD = contact_model("dmt-viscous")

@@ -46,7 +46,11 @@ def held(properties, setpoint):
 
 @pytest.fixture(scope="module", params=list(MATERIALS))
 def response(request):
-    material = MATERIALS[request.param]
+    return respond(MATERIALS[request.param], STEP)
+
+
+def respond(material, reach):
+    """Return a material with its rows, slopes, curvatures, change of t, and slopes by t alone."""
     rows, orders = rows_of((0, 1, 2, 3), (1, 2, 3))
     columns = columns_of(RECORD, PROBE, {"poisson_ratio": POISSON})
     priors = for_kernel(complete_priors(None, RECORD, PROBE.tip.radius), "modulus")
@@ -69,6 +73,7 @@ def response(request):
         np.stack([first.real, first.imag], axis=1),
         np.zeros(2, complex),
         np.ones(PROPERTIES, bool),
+        np.full(PROPERTIES, reach),
         f,
         J,
         H,
@@ -131,3 +136,15 @@ def test_what_a_scan_does_alone_is_its_own(response):
     assert (along[:ROWS, 1] == 0.0).all()
     assert (along[ROWS:, 0] == 0.0).all()
     assert np.abs(along[:ROWS, 0]).max() > 0.01
+
+
+def test_far_steps_stay_on_the_branch_of_the_material():
+    """Ten per cent softer it would be repulsive at the same indentation: another state, which no pixel is in."""
+    material = (157e6, 19.8e-9, 0.114)
+    _, f, near, _, near_depth, _ = respond(material, 0.05)
+    _, _, far, H, far_depth, _ = respond(material, 0.35)
+    rows = slice(0, ROWS)
+    assert f[1] < 0.0  # attraction holds the amplitude down
+    np.testing.assert_allclose(far[rows], near[rows], atol=0.25 * np.abs(near[rows]).max())
+    np.testing.assert_allclose(far_depth[0], near_depth[0], atol=0.05)
+    assert np.abs(H[rows]).max() < 20.0 * np.abs(near[rows]).max()

@@ -204,7 +204,16 @@ def joint_of(y, covariance, theta, motion):
     found = Draws(at[:, :1], unknowns, forces, random.standard_normal((draws, 1)), np.ones(1), 0.6, scene)
     zero = np.zeros((size, size))
     tiles = Tiles(
-        y[None], np.zeros((1, size, 1)), np.array([0.1]), np.array([9]), zero, zero, amplitude[0], zero, zero
+        y[None],
+        np.zeros((1, size, 1)),
+        np.array([0.1]),
+        np.zeros(1),
+        np.array([9]),
+        zero,
+        zero,
+        amplitude[0],
+        zero,
+        zero,
     )
     J = np.zeros((size, 3))
     response = Response(np.zeros(size), J, np.zeros((size, 3, 3)), np.zeros((1, 3)), np.zeros((size, 1)))

@@ -111,10 +111,12 @@ def test_the_table_holds_what_is_true(result, labelled, three):
 def test_pooled_pixels_are_sharper_and_right(result, three):
     k = next(i for i, m in enumerate(three.materials) if m.name == "LDPE")
     own = (result["phase"].values == of_material(result, three, k)) & (three.truth["material"].values == k)
+    own &= result["shrinkage"].values > 0.0
     assert own.sum() > 200
     pooled = np.log(result["modulus_upper"] / result["modulus_lower"]).values[own]
     alone = np.log(result["modulus_unpooled_upper"] / result["modulus_unpooled_lower"]).values[own]
-    assert np.median(pooled) < 0.95 * np.median(alone)
+    # what the scan shares is most of an interval of a soft pixel, and all of it stays
+    assert np.median(pooled) < 0.98 * np.median(alone)
     true = three.truth["modulus"].values[own]
     inside = (result["modulus_lower"].values[own] < true) & (true < result["modulus_upper"].values[own])
     # what they share is one draw, so that in a lucky scan all of them are right: how often, many worlds tell
@@ -309,3 +311,27 @@ def test_what_makes_no_sense_is_refused(three, part):
 def test_a_model_without_a_modulus_is_refused(three, part):
     with pytest.raises(InversionError, match="modulus"):
         mapped(three, part[0], phases=part[1], model="kelvin-voigt")
+
+
+def test_pixels_at_borders_are_told_nothing():
+    from overtone.population.phases import labels_as_phases
+    from overtone.population.population import _at_borders
+
+    label = np.zeros((20, 30), int)
+    label[:, 15:] = 1
+    label[:, 14:16] = -1  # a band between two phases
+    label[5, 5] = label[9, 6] = 1  # odd ones
+    label[15, 25] = -1
+    label[2, :] = -1  # a line that was lost
+    random = np.random.default_rng(0)
+    phases = labels_as_phases(label, random.standard_normal((20, 30, 2)), np.eye(2))
+    known = np.ones(label.shape, bool)
+    known[2] = False
+    border = _at_borders(phases, known)
+    want = np.zeros(label.shape, bool)
+    want[:, [13, 16]] = True
+    want[5, 5] = want[9, 6] = True  # odd ones are, what is about them is not
+    mine = label >= 0
+    np.testing.assert_array_equal(border[4:][mine[4:]], want[4:][mine[4:]])
+    # a lost line is no border
+    np.testing.assert_array_equal(border[[0, 1, 3]][mine[[0, 1, 3]]], want[[0, 1, 3]][mine[[0, 1, 3]]])

@@ -87,6 +87,7 @@ def straight(y, covariance, draws=200, seed=0, radius=(0.1,), shift=None):
         y[0][None] * UNIT,
         np.zeros((1, SIZE, sources)),
         np.array(radius),
+        np.zeros(len(radius)),
         np.array([400]),
         covariance * UNIT**2,
         covariance * UNIT**2,

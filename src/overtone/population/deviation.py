@@ -36,6 +36,7 @@ _STEPS = 30
 _HALVINGS = 6
 _LONGEST, _LONGEST_DEPTH = 0.4, 0.3  # step of a logarithm, and of t
 _SETTLED = 1e-4  # squared length of a step, in standard deviations
+_AS_LOW = 1e-2  # the same where arithmetic tells no lower place
 _FARTHEST = 2.0  # of ln of a property from its phase
 
 
@@ -60,7 +61,8 @@ class Centre(NamedTuple):
     depth: _Floats
     """(scan, PROPERTIES): change of t with them while the amplitude is held."""
     loose: float
-    """Standard deviation of t about that, for models whose loss is not known; infinite where the rows tell."""
+    """Standard deviation of t about that, for models whose loss is not known; infinite where the rows of the first
+    harmonic, which hold the drive, are among the data."""
 
 
 @kernel
@@ -87,9 +89,10 @@ def of_the_motion(
     room, none = new_room(scene.followed), new_room(bare.followed)
     work = np.zeros((WORK_ROWS, n_max + 1))
     part, f, f_bare = np.zeros((rows, 4)), np.zeros(rows), np.zeros(rows)
-    at = v.copy()
+    at, at_middle = v.copy(), np.zeros_like(room.f)
     for s in range(scans):
         block = s * rows
+        at_middle[:] = 0.0
         # the middle first, then both sides of each unknown
         for place in range(9):
             at[:], x_there = v, x
@@ -99,11 +102,15 @@ def of_the_motion(
                 at[ADHESION] += step if column == 0 else 0.0
                 at[TANGENT] += step if column == 1 else 0.0
                 at[FIRST_DEPTH + s] += step if column == 2 else 0.0
+            room.f[:] = at_middle
             for _ in range(_PASSES):
                 rows_of_material(scene, k, s, x_there, at, room, work, f, part)
+            if place == 0 and np.isfinite(room.f).all():
+                at_middle[:] = room.f
             rows_of_material(bare, k, s, x_there, at, none, work, f_bare, part)
             for r in range(rows):
-                added = f[r] - f_bare[r]
+                # a motion that runs away tells of none
+                added = f[r] - f_bare[r] if math.isfinite(f[r]) else motion[block + r] if place else 0.0
                 if place == 0:
                     motion[block + r] = added
                 elif place % 2:
@@ -297,7 +304,7 @@ def settle_pixels(
                 share *= 0.5
             if not lower:
                 # as low as the arithmetic tells, or lost
-                found[i] = length < 1.0
+                found[i] = length < _AS_LOW
                 _rows(bare, k, centre, u, v, room, work, part, f, J)
                 _part_from(centre, u, off, extra)
                 break
@@ -305,7 +312,10 @@ def settle_pixels(
             theta[i, a] = off[a]
             found[i] &= abs(off[a]) < _FARTHEST
         theta[i, PROPERTIES:] = extra
-        # the factor of the last step: what is left of the covariance, and turned
+        if not found[i]:
+            theta[i], covariance[i] = 0.0, np.eye(n)
+            continue
+        # from the factor of the last step
         for b in range(n):
             g[:] = 0.0
             g[b] = 1.0

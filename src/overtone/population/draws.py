@@ -144,7 +144,7 @@ def mixture_of(
         gain[i] = G
         depth[i], drawn[i] = response.depth, np.where(free, s, 0.0)
         spread[i] = np.sqrt(np.maximum(np.einsum("qi,ij,qj->q", along, P, along), 1e-16))
-    i = _middle(draws.ln_E[chosen, k], draws.unknowns[chosen, k])
+    i = _middle(np.column_stack([draws.ln_E[chosen, k], draws.unknowns[chosen, k], drawn]))
     x, v = float(draws.ln_E[chosen[i], k]), draws.unknowns[chosen[i], k]
     scene = question.scene(np.empty(0), np.empty((0, 0)), amplitude, unit, [])
     motion, by = np.zeros(data), np.zeros((data, 4))
@@ -157,9 +157,8 @@ def mixture_of(
     return Mixture(f, slope, gain, lines, base, spread, i), centre, np.median(inverses, axis=0)
 
 
-def _middle(ln_E: _Floats, unknowns: _Floats) -> int:
-    """Return which of some draws is nearest to the median of all."""
-    all_of = np.column_stack([ln_E, unknowns])
+def _middle(all_of: _Floats) -> int:
+    """Return which of some draws (draw, number) is nearest to the median of all."""
     off = (all_of - np.median(all_of, axis=0)) / np.maximum(all_of.std(axis=0), 1e-12)
     return int(np.argmin((off**2).sum(axis=1)))
 

@@ -312,14 +312,15 @@ def evidence_of(
     known : sequence of Known
         Moduli.
     unknowns : int
-        Of a phase.
+        Of a phase: its properties, and t of each scan.
 
     Notes
     -----
-    Every force is a multiple of the stiffness of the lever, that of the noise included: what is concluded of ln of the
-    unknowns from a stiffer lever is as sharp as from a softer one. A Gaussian of one covariance, whatever the
-    stiffness, has room for more unknowns at weak forces than at strong ones, in each direction by the factor that the
-    forces differ by. The stiffness is given back what that would take off it.
+    Every force is a multiple of the stiffness of the lever, 1 + e z, and so is its noise: ln of the unknowns come out
+    as sharp from a stiff lever as from a soft one. A Gaussian of one covariance for ``y + C z``, in which C goes with
+    the forces, makes them sharper where forces are strong: integrated over p unknowns it would weigh z by
+    ``(1 + e z)^-p``, and softer levers would seem likelier the more phases there are. The prior of z has the inverse of
+    that, to second order: ln of it is ``p (e z - (e z)^2/2)``.
     """
     size = phases[0].y.shape[1]
     shared = phases[0].changes.shape[2]
@@ -329,7 +330,11 @@ def evidence_of(
     unit = float(np.median(np.abs(phases[0].y)))
     statistical, mean, changes = np.zeros((n, n)), np.zeros(n), np.zeros((n, sources))
     P, b = np.eye(sources), np.zeros(sources)
-    b[: phases[0].stiffness.size] = unknowns * len(phases) * phases[0].stiffness
+    of_lever = np.zeros(sources)
+    of_lever[: phases[0].stiffness.size] = phases[0].stiffness
+    power = unknowns * len(phases)
+    b += power * of_lever
+    P += power * np.outer(of_lever, of_lever)
     radius = np.zeros(sources)
     radius[: phases[0].radius.size] = phases[0].radius
     for k, tiles in enumerate(phases):

@@ -1,8 +1,8 @@
 """The force harmonics of a material, on the motion that the tip makes: what the pixels of a phase have in common.
 
 Of a material ln E, its force of adhesion and its loss tangent count, and at each set-point the indentation that goes
-with them. Given ln E the others are found by Newton's method against what was measured of all materials of a scan
-together, whose errors are not independent of each other: they share a calibration.
+with them. What was measured of all materials of a scan stands together: its errors are not independent of each other,
+as they share a calibration.
 """
 
 from __future__ import annotations

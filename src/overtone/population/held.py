@@ -17,6 +17,7 @@ from overtone.inversion.table import DEEPEST, SHALLOWEST
 from overtone.kernels import kernel, lean
 from overtone.population.forward import (
     ADHESION,
+    BY_MODULUS,
     FIRST_DEPTH,
     TANGENT,
     Desk,
@@ -31,6 +32,7 @@ _Complex = npt.NDArray[np.complex128]
 PROPERTIES = 3
 """ln of the elastic unknown, of the force of adhesion and of the loss tangent."""
 _STEPS = 30
+_BY_T = 2  # column of the derivatives of a row
 _CLOSE = 1e-10
 _LONGEST = 0.3
 _PART = 0.1  # of ln of a property, from one state to the next
@@ -52,6 +54,19 @@ def _drive(scene: Scene, f: _Floats, first: _Floats, still: complex) -> float:
 
 
 @lean
+def _by(scene: Scene, f: _Floats, part: _Floats, column: int, first: _Floats, still: complex) -> float:
+    """Return the derivative of `_drive` by an unknown, a column of the derivatives of the rows [unit^2]."""
+    cons, diss, d_cons, d_diss = 0.0, -still.imag, 0.0, 0.0
+    for r in range(scene.orders.shape[0]):
+        if scene.orders[r] == 1:
+            if scene.lossy[r]:
+                diss, d_diss = f[r], part[r, column]
+            else:
+                cons, d_cons = f[r], part[r, column]
+    return float(-2.0 * (first[0] - cons) * d_cons + 2.0 * (first[1] + diss) * d_diss)
+
+
+@lean
 def _held(
     scene: Scene,
     k: int,
@@ -61,29 +76,20 @@ def _held(
     first: _Floats,
     still: complex,
     goal: float,
+    uphill: float,
     desk: Desk,
     f: _Floats,
 ) -> bool:
     """Fill the rows of a material at the indentation that balances the drive, and return whether there is one near.
 
     ``v`` holds a start and is moved. There may be two: one attractive and one repulsive, between which the drive has a
-    summit. The one on the side of the start counts.
+    summit. The one where it rises with t as ``uphill`` does counts.
     """
     at = FIRST_DEPTH + scan
-    uphill = 0.0
     for _ in range(_STEPS):
         rows_of_material(scene, k, scan, x, v, desk.room, desk.work, f, desk.part)
         off = _drive(scene, f, first, still) - goal
-        cons, diss, d_cons, d_diss = 0.0, -still.imag, 0.0, 0.0
-        for r in range(scene.orders.shape[0]):
-            if scene.orders[r] == 1:
-                if scene.lossy[r]:
-                    diss, d_diss = f[r], desk.part[r, 2]
-                else:
-                    cons, d_cons = f[r], desk.part[r, 2]
-        slope = -2.0 * (first[0] - cons) * d_cons + 2.0 * (first[1] + diss) * d_diss
-        if uphill == 0.0:
-            uphill = slope
+        slope = _by(scene, f, desk.part, _BY_T, first, still)
         if not slope * uphill > 0.0:
             return False
         step = min(max(-off / slope, -_LONGEST), _LONGEST)
@@ -127,8 +133,9 @@ def curvature(
         Properties that the model has.
     reach : array (PROPERTIES,)
         Steps of ln of each, made shorter where no drive could hold the amplitude at their ends. With the square root of
-        3 times the scatter of a property, slopes and curvatures are those of the parabola that fits best over it, bends
-        of third order included (Gauss and Hermite's three points).
+        3 times the scatter of a property, slopes and its own curvature are those of the parabola that fits best over
+        it, bends of third order included (Gauss and Hermite's three points). Where no step is short enough, and where
+        no row tells the first harmonic, slopes are those at the middle alone, and curvatures zero.
     f, J, H : array (datum,), (datum, PROPERTIES), (datum, PROPERTIES, PROPERTIES)
         Filled [unit], rows of all scans of the material.
     depth : array (scan, PROPERTIES)
@@ -143,10 +150,10 @@ def curvature(
     t = np.zeros(2 * PROPERTIES)
     pair = np.zeros(rows)
     J[:], H[:], depth[:], along[:] = 0.0, 0.0, 0.0, 0.0
-    steps = np.empty(PROPERTIES)
+    steps, found, middle = np.empty(PROPERTIES), np.zeros(PROPERTIES, np.bool_), np.empty((rows, 4))
     for s in range(scans):
         block = s * rows
-        steps[:] = reach
+        steps[:], found[:] = reach, False
         desk.room.f[:] = 0.0
         for _ in range(6):
             rows_of_material(scene, k, s, x, v, desk.room, desk.work, f[block : block + rows], desk.part)
@@ -155,11 +162,15 @@ def curvature(
         here = f[block : block + rows]
         motion = desk.room.f.copy()
         goal = _drive(scene, here, first[s], still[s])
+        uphill = _by(scene, here, desk.part, _BY_T, first[s], still[s])
+        middle[:] = desk.part
         for i in range(PROPERTIES):
             if not free[i]:
                 continue
-            for _ in range(_HALVINGS):
-                found = True
+            for halving in range(_HALVINGS):
+                if halving > 0:
+                    steps[i] *= 0.5
+                found[i] = True
                 for side in range(2):
                     step = steps[i] if side == 0 else -steps[i]
                     at[:], desk.room.f[:] = v, motion
@@ -170,11 +181,21 @@ def curvature(
                         at[ADHESION] = v[ADHESION] + far if i == 1 else v[ADHESION]
                         at[TANGENT] = v[TANGENT] + far if i == 2 else v[TANGENT]
                         f_there = there[2 * i + side]
-                        found &= _held(scene, k, s, x_there, at, first[s], still[s], goal, desk, f_there)
+                        found[i] &= _held(
+                            scene, k, s, x_there, at, first[s], still[s], goal, uphill, desk, f_there
+                        )
                     t[2 * i + side] = at[FIRST_DEPTH + s]
-                if found:
+                if found[i]:
                     break
-                steps[i] *= 0.5
+            if not found[i]:
+                column = BY_MODULUS if i == 0 else i - 1
+                follows = 0.0
+                if uphill != 0.0:
+                    follows = -_by(scene, here, middle, column, first[s], still[s]) / uphill
+                depth[s, i] = follows
+                for r in range(rows):
+                    J[block + r, i] = middle[r, column] + middle[r, _BY_T] * follows
+                continue
             depth[s, i] = (t[2 * i] - t[2 * i + 1]) / (2.0 * steps[i])
             for r in range(rows):
                 up, down = there[2 * i, r], there[2 * i + 1, r]
@@ -182,7 +203,7 @@ def curvature(
                 H[block + r, i, i] = (up + down - 2.0 * here[r]) / steps[i] ** 2
         for i in range(PROPERTIES):
             for j in range(i):
-                if not (free[i] and free[j]):
+                if not (found[i] and found[j]):
                     continue
                 at[:] = v
                 at[FIRST_DEPTH + s] = t[2 * i] + t[2 * j] - v[FIRST_DEPTH + s]
@@ -190,7 +211,7 @@ def curvature(
                 at[ADHESION] += steps[1] if 1 in (i, j) else 0.0
                 at[TANGENT] += steps[2] if i == 2 else 0.0
                 desk.room.f[:] = motion
-                if not _held(scene, k, s, x_there, at, first[s], still[s], goal, desk, pair):
+                if not _held(scene, k, s, x_there, at, first[s], still[s], goal, uphill, desk, pair):
                     continue
                 for r in range(rows):
                     twist = pair[r] - there[2 * i, r] - there[2 * j, r] + here[r]

@@ -60,7 +60,7 @@ _DEPTHS = (2, 1)
 """Pixels from the edge of a phase from which on a pixel tells of its material, if so many are left."""
 _LEAST_KEPT = 0.25
 _OUTLIER = 1e-4
-_BAND = 6  # pixels of no phase together that are a border, and no odd pixels
+_BAND = 6  # pixels of another phase, or of none, that together are more than odd ones
 _WIDER = (0.2, 5.0)  # of what is left open at a pixel, over that at the median of its phase
 _MARKED = 0.5  # share of the marked pixels that make a phase the reference
 
@@ -228,7 +228,10 @@ def find_materials(
         calibration is not None,
         laws_of(materials, question, exponent, called),
     )
-    at_border = _at_borders(found, bands=not isinstance(request.phases, xr.DataArray)).ravel()
+    drawn = isinstance(request.phases, xr.DataArray)
+    # what a user has left out may be the same material
+    told = found.label >= 0 if drawn else data.usable.reshape(found.label.shape)
+    at_border = _at_borders(found, told).ravel()
     return Found(
         settings, data, question, exponent, request.seed, found, called, members, at_border, materials, table
     )
@@ -416,8 +419,8 @@ def _away_from_edges(pixels: _Indices, shape: tuple[int, ...]) -> _Indices:
     return pixels
 
 
-def _at_borders(phases: Phases, *, bands: bool) -> npt.NDArray[np.bool_]:
-    """Return which pixels (y, x) have one of another phase beside them, or one of a band between two phases.
+def _at_borders(phases: Phases, known: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+    """Return which pixels (y, x) have another phase beside them, or known pixels of none; a few odd ones do not count.
 
     Most of them are of an interphase, however sure it is which side they are nearer to.
     """
@@ -426,13 +429,11 @@ def _at_borders(phases: Phases, *, bands: bool) -> npt.NDArray[np.bool_]:
 
     eight = np.ones((3, 3))
     border = np.zeros(phases.label.shape, bool)
-    if bands:
-        parts, _ = connected(phases.label == NONE, eight)
+    for k in range(NONE, phases.count):
+        parts, _ = connected((phases.label == k) & known, eight)
         large = np.bincount(parts.ravel()) >= _BAND
-        border |= binary_dilation((phases.label == NONE) & large[parts], eight)
-    for k in range(phases.count):
-        mine = phases.label == k
-        border |= mine & binary_dilation((phases.label >= 0) & ~mine, eight)
+        large[0] = False
+        border |= binary_dilation(large[parts], eight) & (phases.label != k)
     return border
 
 

@@ -52,8 +52,8 @@ def spread_of(
     J : array (datum, PROPERTIES)
         Change of the rows with ln of each property.
     H : array (datum, PROPERTIES, PROPERTIES)
-        And its change with them: where two properties do nearly the same, what their squares do to the scatter would
-        be taken for a difference of the two, and they for many times as wide as they are.
+        And its change with them. Where two properties do nearly the same, what their squares add to the scatter would
+        otherwise be taken for a difference of the two, which would have to be many times as large.
     free : array (PROPERTIES,)
         Properties that the model has.
     pixels : int
@@ -67,12 +67,13 @@ def spread_of(
     scale = 1.0 / np.sqrt(np.diag(noise))
     R, N, J = within * np.outer(scale, scale), noise * np.outer(scale, scale), J * scale[:, None]
     H = H * scale[:, None, None]
+    names = np.flatnonzero(free)
+    J, H = J[:, names], H[:, names[:, None], names]
+    steep = [np.diag((_SLOPES * column) ** 2) for column in J.T]
     if loose.shape[1]:
         keep = null_space((loose * scale[:, None]).T)
         R, N, J, H = keep.T @ R @ keep, keep.T @ N @ keep, keep.T @ J, np.tensordot(keep.T, H, 1)
-    names = np.flatnonzero(free)
-    J, H = J[:, names], H[:, names[:, None], names]
-    steep = (_SLOPES * J) ** 2
+        steep = [keep.T @ of_one @ keep for of_one in steep]
     n = max(pixels * _FREEDOM_LOST, min(pixels, 20))
     centre, width = math.log(TYPICAL), math.log(FACTOR)
 
@@ -80,12 +81,12 @@ def spread_of(
         """Return minus ln of the density, and its slope."""
         s2 = np.exp(2.0 * log_s)
         bent = np.einsum("rij,j,sij->irs", H, s2, H)
-        V = N + (J * s2) @ J.T + 0.5 * np.tensordot(s2, bent, 1) + np.diag(steep @ s2)
+        V = N + (J * s2) @ J.T + 0.5 * np.tensordot(s2, bent, 1) + np.tensordot(s2, steep, 1)
         _, log_det = np.linalg.slogdet(V)
         P = np.linalg.inv(V)
         PR = P @ R
         # dV/ds2 of each property
-        rise = np.einsum("ri,si->irs", J, J) + bent + np.einsum("ri,rs->irs", steep, np.eye(len(steep)))
+        rise = np.einsum("ri,si->irs", J, J) + bent + np.stack(steep)
         away = (log_s - centre) / width
         value = 0.5 * n * (log_det + np.trace(PR)) + 0.5 * (away**2).sum()
         slope = n * s2 * np.einsum("rs,isr->i", P - PR @ P, rise) + away / width

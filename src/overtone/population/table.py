@@ -365,7 +365,8 @@ def _left_out(joint: Joint, k: int) -> tuple[_Floats, _Floats, _Floats]:
     at, unit = _data_of(joint, k), joint.evidence.unit
     J, wide = _slopes(joint, k)
     W = inverse(joint.evidence.covariance[at, at] + (J * wide**2) @ J.T)
-    y = joint.evidence.centre[at]
+    # as concluded from the readings, whatever is likelier of the calibration
+    y = joint.evidence.mean[at]
     # about the draw that fits best
     off, _ = _best(joint, k)
     pull = -W @ off
