@@ -49,9 +49,9 @@ def response(request):
     return respond(MATERIALS[request.param], STEP)
 
 
-def respond(material, reach):
+def respond(material, reach, cons=(0, 1, 2, 3), diss=(1, 2, 3)):
     """Return a material with its rows, slopes, curvatures, change of t, and slopes by t alone."""
-    rows, orders = rows_of((0, 1, 2, 3), (1, 2, 3))
+    rows, orders = rows_of(cons, diss)
     columns = columns_of(RECORD, PROBE, {"poisson_ratio": POISSON})
     priors = for_kernel(complete_priors(None, RECORD, PROBE.tip.radius), "modulus")
     question = Question(columns, rows, follow(PROBE, (2, 3), FEW), priors)
@@ -62,7 +62,7 @@ def respond(material, reach):
     t = [held([material], setpoint)[1][0] for setpoint in SETPOINTS]
     v = np.empty(FIRST_DEPTH + 2)
     v[ADHESION], v[TANGENT], v[FIRST_DEPTH:] = math.log(material[1] / UNIT), math.log(material[2]), t
-    size = 2 * ROWS
+    size = 2 * rows.orders.size
     f, J, H = np.empty(size), np.empty((size, 3)), np.empty((size, 3, 3))
     depth, along = np.empty((2, 3)), np.empty((size, 2))
     curvature(
@@ -148,3 +148,14 @@ def test_far_steps_stay_on_the_branch_of_the_material():
     np.testing.assert_allclose(far[rows], near[rows], atol=0.25 * np.abs(near[rows]).max())
     np.testing.assert_allclose(far_depth[0], near_depth[0], atol=0.05)
     assert np.abs(H[rows]).max() < 20.0 * np.abs(near[rows]).max()
+
+
+def test_without_the_first_harmonic_slopes_are_those_at_one_depth():
+    material = MATERIALS["soft"]
+    _, f, J, H, depth, along = respond(material, 0.2, (0, 2, 3), ())
+    assert (depth == 0.0).all()
+    assert (H == 0.0).all()
+    # an elastic force and one of adhesion: rows are their sum, and what the motion adds
+    np.testing.assert_allclose(J[:, 0] + J[:, 1], f, atol=0.1 * np.abs(f).max())
+    assert (J[:, 0] * J[:, 1] < 0.0).any()
+    assert np.isfinite(along).all()

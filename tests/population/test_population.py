@@ -322,16 +322,14 @@ def test_pixels_at_borders_are_told_nothing():
     label[:, 14:16] = -1  # a band between two phases
     label[5, 5] = label[9, 6] = 1  # odd ones
     label[15, 25] = -1
-    label[2, :] = -1  # a line that was lost
+    label[12, :] = -1  # a line that was lost
     random = np.random.default_rng(0)
     phases = labels_as_phases(label, random.standard_normal((20, 30, 2)), np.eye(2))
     known = np.ones(label.shape, bool)
-    known[2] = False
+    known[12] = False
     border = _at_borders(phases, known)
     want = np.zeros(label.shape, bool)
     want[:, [13, 16]] = True
     want[5, 5] = want[9, 6] = True  # odd ones are, what is about them is not
     mine = label >= 0
-    np.testing.assert_array_equal(border[4:][mine[4:]], want[4:][mine[4:]])
-    # a lost line is no border
-    np.testing.assert_array_equal(border[[0, 1, 3]][mine[[0, 1, 3]]], want[[0, 1, 3]][mine[[0, 1, 3]]])
+    np.testing.assert_array_equal(border[mine], want[mine])

@@ -91,6 +91,7 @@ def infer(
     tile: _Indices,
     question: Question,
     known: Sequence[Known],
+    mixed: Sequence[bool],
     seed: int,
 ) -> Joint | None:
     """Return the joint posterior of phases; None where the model cannot make the forces of one at all.
@@ -109,6 +110,8 @@ def infer(
         Model, harmonics, lever, priors.
     known : sequence of Known
         Moduli of references.
+    mixed : sequence of bool
+        Phases that may be more than one material: what their tiles differ by is none of the scatter of one.
     seed : int
         Of the draws.
     """
@@ -136,7 +139,7 @@ def infer(
             response = respond(settings, question, evidence.unit, amplitude, k, t, x, v, free, scatter[k])
             loose = np.zeros((size, 0)) if question.loss else response.along
             spread = spread_of(
-                scatter_of(t, z) / evidence.unit**2,
+                (t.within if mixed[k] else scatter_of(t, z)) / evidence.unit**2,
                 data.noise / evidence.unit**2,
                 response.J,
                 response.H,

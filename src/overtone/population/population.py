@@ -198,6 +198,8 @@ def find_materials(
     called = [_name(k, which, request, calibration) for k in range(found.count)]
     inner = [_away_from_edges(pixels, like.shape) for pixels in members]
     tile = _tile_numbers(like.shape)
+    drawn = isinstance(request.phases, xr.DataArray)
+    mixed = [not drawn and bool(found.merged[k]) and found.trend[k] < _EVEN for k in range(found.count)]
     usual = [k for k in range(found.count) if len(members[k]) >= _FEWEST]
     together = [k for k in usual if not (anchored and k == which)]
     joints: dict[int, tuple[Joint, int]] = {}
@@ -205,14 +207,14 @@ def find_materials(
         if not group:
             continue
         facts = [Known(group.index(k), fact[0], fact[1], exponent) for k, fact in known.items() if k in group]
-        joints |= _inferred(settings, data, inner, tile, question, facts, group, request.seed)
+        joints |= _inferred(settings, data, inner, tile, question, facts, mixed, group, request.seed)
     materials = []
     for k in range(found.count):
         joint, place = joints.get(k, (None, 0))
-        merged = bool(found.merged[k]) and found.trend[k] < _EVEN
+        merged = mixed[k]
         if joint is not None:
             merged = merged or _wanders(joint, place) > _GRADIENT
-        merged = merged and not isinstance(request.phases, xr.DataArray)
+        merged = merged and not drawn
         materials.append(
             Material(k, len(members[k]), int(found.domains[k]), not merged, k == which, joint, place)
         )
@@ -228,7 +230,6 @@ def find_materials(
         calibration is not None,
         laws_of(materials, question, exponent, called),
     )
-    drawn = isinstance(request.phases, xr.DataArray)
     # what a user has left out may be the same material
     told = found.label >= 0 if drawn else data.usable.reshape(found.label.shape)
     at_border = _at_borders(found, told).ravel()
@@ -277,11 +278,14 @@ def _inferred(
     tile: _Indices,
     question: Question,
     facts: Sequence[Known],
+    mixed: Sequence[bool],
     group: Sequence[int],
     seed: int,
 ) -> dict[int, tuple[Joint, int]]:
     """Return the joint posterior of a group of phases, without those that the model cannot make."""
-    joint = infer(settings, data, [members[k] for k in group], tile, question, facts, seed)
+    joint = infer(
+        settings, data, [members[k] for k in group], tile, question, facts, [mixed[k] for k in group], seed
+    )
     if joint is not None:
         return {k: (joint, i) for i, k in enumerate(group)}
     if len(group) == 1:
@@ -290,12 +294,12 @@ def _inferred(
     fine = []
     for i, k in enumerate(group):
         own = [fact._replace(material=0) for fact in facts if fact.material == i]
-        if infer(settings, data, [members[k]], tile, question, own, seed) is not None:
+        if infer(settings, data, [members[k]], tile, question, own, [mixed[k]], seed) is not None:
             fine.append(k)
     if not fine or len(fine) == len(group):
         return {}
     kept = [f._replace(material=fine.index(group[f.material])) for f in facts if group[f.material] in fine]
-    return _inferred(settings, data, members, tile, question, kept, fine, seed)
+    return _inferred(settings, data, members, tile, question, kept, mixed, fine, seed)
 
 
 def _phases(request: Request, like: xr.DataArray, data: Harvest) -> Phases:
