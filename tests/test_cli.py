@@ -405,7 +405,8 @@ def test_the_demo_writes_what_it_says(tmp_path: Path, capsys: pytest.CaptureFixt
     sure = alone(result)["status"] == 0
     assert float(sure.where(stiff).mean()) < 0.02
     assert float(sure.where(~stiff).mean()) > 0.9
-    assert float((result["status"] == 0).mean()) > 0.95
+    # those beside a border are told nothing
+    assert float((result["status"] == 0).mean()) > 0.9
     soft = result["modulus"].where(~stiff) / truth
     assert 0.85 < float(soft.median()) < 1.15
     for material in (stiff, ~stiff):
