@@ -140,7 +140,7 @@ def test_what_a_scan_does_alone_is_its_own(response):
 
 def test_far_steps_stay_on_the_branch_of_the_material():
     """Ten per cent softer it would be repulsive at the same indentation: another state, which no pixel is in."""
-    material = (157e6, 19.8e-9, 0.114)
+    material = (157e6, 23e-9, 0.114)
     _, f, near, _, near_depth, _ = respond(material, 0.05)
     _, _, far, H, far_depth, _ = respond(material, 0.35)
     rows = slice(0, ROWS)
