@@ -23,6 +23,11 @@ def length_of(L, step):  # type: ignore[no-untyped-def]
 
 
 @kernel
+def half_square_of(P, y, centre):  # type: ignore[no-untyped-def]
+    return algebra.half_square(P, y, centre)
+
+
+@kernel
 def eliminated(A, b):  # type: ignore[no-untyped-def]
     return algebra.eliminate(A, b)
 
@@ -79,3 +84,11 @@ def test_units_leave_the_determinant() -> None:
     added = scaled(work, scale)
     np.testing.assert_allclose(np.diag(work), 1.0)
     assert np.linalg.slogdet(work)[1] + added == pytest.approx(np.linalg.slogdet(A)[1], rel=1e-9)
+
+
+def test_half_of_a_square_is_that_of_the_matrix():
+    random = np.random.default_rng(11)
+    root, y, centre = random.standard_normal((4, 4)), random.standard_normal(4), random.standard_normal(4)
+    P = root @ root.T
+    want = 0.5 * (y - centre) @ P @ (y - centre)
+    assert half_square_of(P, y, centre) == pytest.approx(want, rel=1e-12, abs=0)

@@ -50,6 +50,19 @@ def solve_factored(L: _Floats, b: _Floats, out: _Floats) -> None:
 
 
 @lean
+def half_square(P: _Floats, y: _Floats, centre: _Floats) -> float:
+    """Return half of the square of how far y is off a centre, in the metric P."""
+    size = y.shape[0]
+    total = 0.0
+    for i in range(size):
+        row = 0.0
+        for j in range(size):
+            row += P[i, j] * (y[j] - centre[j])
+        total += 0.5 * (y[i] - centre[i]) * row
+    return total
+
+
+@lean
 def squared_length(L: _Floats, step: _Floats) -> float:
     """Return the squared length of a step in the metric L L'."""
     n = step.shape[0]

@@ -13,17 +13,17 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from overtone.inversion.columns import WORK_ROWS
-from overtone.inversion.motion import Room, new_room
 from overtone.inversion.table import DEEPEST, SHALLOWEST
 from overtone.kernels import inner, kernel
-from overtone.population.algebra import cholesky, solve_factored
+from overtone.population.algebra import cholesky, half_square, solve_factored
 from overtone.population.forward import (
     ADHESION,
     BY_MODULUS,
     FIRST_DEPTH,
     TANGENT,
+    Desk,
     Scene,
+    new_desk,
     rows_of_material,
 )
 from overtone.population.held import PROPERTIES
@@ -83,13 +83,9 @@ def of_the_motion(
         Filled [unit].
     """
     rows, scans = scene.orders.shape[0], scene.amplitude.shape[1]
-    n_max = 0
-    for r in range(rows):
-        n_max = max(n_max, scene.orders[r])
-    room, none = new_room(scene.followed), new_room(bare.followed)
-    work = np.zeros((WORK_ROWS, n_max + 1))
-    part, f, f_bare = np.zeros((rows, 4)), np.zeros(rows), np.zeros(rows)
-    at, at_middle = v.copy(), np.zeros_like(room.f)
+    desk, other = new_desk(scene), new_desk(bare)
+    f, f_bare = np.zeros(rows), np.zeros(rows)
+    at, at_middle = v.copy(), np.zeros_like(desk.room.f)
     for s in range(scans):
         block = s * rows
         at_middle[:] = 0.0
@@ -102,12 +98,12 @@ def of_the_motion(
                 at[ADHESION] += step if column == 0 else 0.0
                 at[TANGENT] += step if column == 1 else 0.0
                 at[FIRST_DEPTH + s] += step if column == 2 else 0.0
-            room.f[:] = at_middle
+            desk.room.f[:] = at_middle
             for _ in range(_PASSES):
-                rows_of_material(scene, k, s, x_there, at, room, work, f, part)
-            if place == 0 and np.isfinite(room.f).all():
-                at_middle[:] = room.f
-            rows_of_material(bare, k, s, x_there, at, none, work, f_bare, part)
+                rows_of_material(scene, k, s, x_there, at, desk.room, desk.work, f, desk.part)
+            if place == 0 and np.isfinite(desk.room.f).all():
+                at_middle[:] = desk.room.f
+            rows_of_material(bare, k, s, x_there, at, other.room, other.work, f_bare, other.part)
             for r in range(rows):
                 # a motion that runs away tells of none
                 added = f[r] - f_bare[r] if math.isfinite(f[r]) else motion[block + r] if place else 0.0
@@ -126,9 +122,7 @@ def _rows(
     centre: Centre,
     u: _Floats,
     v: _Floats,
-    room: Room,
-    work: _Floats,
-    part: _Floats,
+    desk: Desk,
     f: _Floats,
     J: _Floats,
 ) -> None:
@@ -140,13 +134,13 @@ def _rows(
     J[:] = 0.0
     for s in range(scans):
         block, t = s * rows, PROPERTIES + s
-        rows_of_material(bare, k, s, u[0], v, room, work, f[block : block + rows], part)
+        rows_of_material(bare, k, s, u[0], v, desk.room, desk.work, f[block : block + rows], desk.part)
         for r in range(rows):
             i = block + r
-            J[i, 0] = part[r, BY_MODULUS] + centre.by[i, BY_MODULUS]
-            J[i, 1] = part[r, 0] + centre.by[i, 0]
-            J[i, 2] = part[r, 1] + centre.by[i, 1]
-            J[i, t] = part[r, 2] + centre.by[i, 2]
+            J[i, 0] = desk.part[r, BY_MODULUS] + centre.by[i, BY_MODULUS]
+            J[i, 1] = desk.part[r, 0] + centre.by[i, 0]
+            J[i, 2] = desk.part[r, 1] + centre.by[i, 1]
+            J[i, t] = desk.part[r, 2] + centre.by[i, 2]
             f[i] += (
                 centre.motion[i]
                 + centre.by[i, BY_MODULUS] * (u[0] - centre.ln_E)
@@ -166,12 +160,7 @@ def _cost(centre: Centre, y: _Floats, f: _Floats, off: _Floats, extra: _Floats) 
     if math.isfinite(centre.loose):
         for s in range(extra.shape[0]):
             total += 0.5 * (extra[s] / centre.loose) ** 2
-    for i in range(y.shape[0]):
-        row = 0.0
-        for j in range(y.shape[0]):
-            row += centre.precision[i, j] * (y[j] - f[j])
-        total += 0.5 * (y[i] - f[i]) * row
-    return total
+    return total + half_square(centre.precision, f, y)
 
 
 @inner
@@ -184,6 +173,77 @@ def _part_from(centre: Centre, u: _Floats, off: _Floats, extra: _Floats) -> None
         extra[s] = u[PROPERTIES + s] - centre.unknowns[FIRST_DEPTH + s]
         for a in range(PROPERTIES):
             extra[s] -= centre.depth[s, a] * off[a]
+
+
+@inner
+def _metric(
+    centre: Centre,
+    turn: _Floats,
+    y: _Floats,
+    f: _Floats,
+    J: _Floats,
+    off: _Floats,
+    extra: _Floats,
+    B: _Floats,
+    A: _Floats,
+    g: _Floats,
+) -> None:
+    """Fill the metric of a pixel and the slope of ln of its density; ``turn`` is of t beyond what holds the amplitude.
+
+    B is scratch (datum or more, unknown).
+    """
+    data, n = J.shape
+    for r in range(data):
+        for a in range(n):
+            total = 0.0
+            for q in range(data):
+                total += centre.precision[r, q] * J[q, a]
+            B[r, a] = total
+    for a in range(n):
+        g[a] = 0.0
+        for r in range(data):
+            g[a] += B[r, a] * (y[r] - f[r])
+        for b in range(n):
+            total = 0.0
+            for r in range(data):
+                total += J[r, a] * B[r, b]
+            A[a, b] = total
+    for a in range(PROPERTIES):
+        if centre.spread[a] > 0.0:
+            A[a, a] += centre.spread[a] ** -2
+            g[a] -= off[a] * centre.spread[a] ** -2
+        else:
+            A[a, :], A[:, a], A[a, a], g[a] = 0.0, 0.0, 1.0, 0.0
+    if math.isfinite(centre.loose):
+        weight = centre.loose**-2
+        for s in range(extra.shape[0]):
+            for a in range(n):
+                g[a] -= weight * turn[PROPERTIES + s, a] * extra[s]
+                for b in range(n):
+                    A[a, b] += weight * turn[PROPERTIES + s, a] * turn[PROPERTIES + s, b]
+
+
+@inner
+def _turned_inverse(
+    L: _Floats, turn: _Floats, one: _Floats, column: _Floats, half: _Floats, out: _Floats
+) -> None:
+    """Fill turn (L L')^-1 turn'; one, column (unknown,) and half (unknown or more, unknown) are scratch."""
+    n = out.shape[0]
+    for b in range(n):
+        one[:] = 0.0
+        one[b] = 1.0
+        solve_factored(L, one, column)
+        for a in range(n):
+            total = 0.0
+            for c in range(n):
+                total += turn[a, c] * column[c]
+            half[a, b] = total
+    for a in range(n):
+        for b in range(n):
+            total = 0.0
+            for c in range(n):
+                total += half[a, c] * turn[b, c]
+            out[a, b] = total
 
 
 @kernel
@@ -220,11 +280,7 @@ def settle_pixels(
     """
     data, scans = y.shape[1], bare.amplitude.shape[1]
     n = PROPERTIES + scans
-    n_max = 0
-    for r in range(bare.orders.shape[0]):
-        n_max = max(n_max, bare.orders[r])
-    room = new_room(bare.followed)
-    work, part = np.zeros((WORK_ROWS, n_max + 1)), np.zeros((bare.orders.shape[0], 4))
+    desk = new_desk(bare)
     f, J, v = np.zeros(data), np.zeros((data, n)), centre.unknowns.copy()
     u, there, mine = np.zeros(n), np.zeros(n), np.zeros(data)
     off, extra = np.zeros(PROPERTIES), np.zeros(scans)
@@ -240,39 +296,12 @@ def settle_pixels(
                 mine[r] -= place[i, j] * centre.tilt[j, r]
         u[0], u[1], u[2] = centre.ln_E, centre.unknowns[ADHESION], centre.unknowns[TANGENT]
         u[PROPERTIES:] = centre.unknowns[FIRST_DEPTH : FIRST_DEPTH + scans]
-        _rows(bare, k, centre, u, v, room, work, part, f, J)
+        _rows(bare, k, centre, u, v, desk, f, J)
         _part_from(centre, u, off, extra)
         cost = _cost(centre, mine, f, off, extra)
         found[i] = False
         for _ in range(_STEPS):
-            for r in range(data):
-                for a in range(n):
-                    total = 0.0
-                    for q in range(data):
-                        total += centre.precision[r, q] * J[q, a]
-                    B[r, a] = total
-            for a in range(n):
-                g[a] = 0.0
-                for r in range(data):
-                    g[a] += B[r, a] * (mine[r] - f[r])
-                for b in range(n):
-                    total = 0.0
-                    for r in range(data):
-                        total += J[r, a] * B[r, b]
-                    A[a, b] = total
-            for a in range(PROPERTIES):
-                if centre.spread[a] > 0.0:
-                    A[a, a] += centre.spread[a] ** -2
-                    g[a] -= off[a] * centre.spread[a] ** -2
-                else:
-                    A[a, :], A[:, a], A[a, a], g[a] = 0.0, 0.0, 1.0, 0.0
-            if math.isfinite(centre.loose):
-                weight = centre.loose**-2
-                for s in range(scans):
-                    for a in range(n):
-                        g[a] -= weight * turn[PROPERTIES + s, a] * extra[s]
-                        for b in range(n):
-                            A[a, b] += weight * turn[PROPERTIES + s, a] * turn[PROPERTIES + s, b]
+            _metric(centre, turn, mine, f, J, off, extra, B, A, g)
             if not cholesky(A):
                 break
             solve_factored(A, g, step)
@@ -287,25 +316,22 @@ def settle_pixels(
             if length < _SETTLED:
                 found[i] = True
                 break
-            lower = False
             for _ in range(_HALVINGS):
                 for a in range(n):
                     there[a] = u[a] + share * step[a]
                     if a >= PROPERTIES:
                         there[a] = min(max(there[a], SHALLOWEST), DEEPEST)
-                _rows(bare, k, centre, there, v, room, work, part, f, J)
+                _rows(bare, k, centre, there, v, desk, f, J)
                 _part_from(centre, there, off, extra)
                 new = _cost(centre, mine, f, off, extra)
                 if new < cost:
-                    lower = True
                     cost = new
                     u[:] = there
                     break
                 share *= 0.5
-            if not lower:
+            else:
                 # as low as the arithmetic tells, or lost
                 found[i] = length < _AS_LOW
-                _rows(bare, k, centre, u, v, room, work, part, f, J)
                 _part_from(centre, u, off, extra)
                 break
         for a in range(PROPERTIES):
@@ -316,19 +342,4 @@ def settle_pixels(
             theta[i], covariance[i] = 0.0, np.eye(n)
             continue
         # from the factor of the last step
-        for b in range(n):
-            g[:] = 0.0
-            g[b] = 1.0
-            solve_factored(A, g, step)
-            for a in range(n):
-                # as theta is: t beyond what holds the amplitude
-                total = 0.0
-                for c in range(n):
-                    total += turn[a, c] * step[c]
-                B[a, b] = total
-        for a in range(n):
-            for b in range(n):
-                total = 0.0
-                for c in range(n):
-                    total += B[a, c] * turn[b, c]
-                covariance[i, a, b] = total
+        _turned_inverse(A, turn, g, step, B, covariance[i])

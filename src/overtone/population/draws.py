@@ -146,7 +146,7 @@ def mixture_of(
         spread[i] = np.sqrt(np.maximum(np.einsum("qi,ij,qj->q", along, P, along), 1e-16))
     i = _middle(np.column_stack([draws.ln_E[chosen, k], draws.unknowns[chosen, k], drawn]))
     x, v = float(draws.ln_E[chosen[i], k]), draws.unknowns[chosen[i], k]
-    scene = question.scene(np.empty(0), np.empty((0, 0)), amplitude, unit, [])
+    scene = draws.scene
     motion, by = np.zeros(data), np.zeros((data, 4))
     of_the_motion(scene, without_motion(scene), k, x, v, motion, by)
     shift = changes @ draws.z[chosen[i], :shared]

@@ -329,13 +329,10 @@ def evidence_of(
     n = size * len(phases) + len(known)
     unit = float(np.median(np.abs(phases[0].y)))
     statistical, mean, changes = np.zeros((n, n)), np.zeros(n), np.zeros((n, sources))
-    P, b = np.eye(sources), np.zeros(sources)
-    of_lever = np.zeros(sources)
+    of_lever, radius = np.zeros(sources), np.zeros(sources)
     of_lever[: phases[0].stiffness.size] = phases[0].stiffness
     power = unknowns * len(phases)
-    b += power * of_lever
-    P += power * np.outer(of_lever, of_lever)
-    radius = np.zeros(sources)
+    P, b = np.eye(sources) + power * np.outer(of_lever, of_lever), power * of_lever
     radius[: phases[0].radius.size] = phases[0].radius
     for k, tiles in enumerate(phases):
         at = slice(k * size, (k + 1) * size)

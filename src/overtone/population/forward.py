@@ -18,6 +18,7 @@ from overtone.inversion.exact import C_, DELTA_, F_, S_
 from overtone.inversion.linear import stiffness
 from overtone.inversion.motion import Followed, Room, new_room
 from overtone.kernels import inner, lean
+from overtone.population.algebra import half_square
 from overtone.population.answer import Answer, add_changes, differentiate, new_answer, renew
 
 _Floats = npt.NDArray[np.float64]
@@ -267,11 +268,4 @@ def one_at_rest(scene: Scene, k: int, x: float, v: _Floats, desk: Desk) -> None:
 @lean
 def misfit(scene: Scene, f: _Floats) -> float:
     """Return half of the chi-squared of all harmonics."""
-    size = f.shape[0]
-    total = 0.0
-    for i in range(size):
-        row = 0.0
-        for j in range(size):
-            row += scene.precision[i, j] * (f[j] - scene.centre[j])
-        total += 0.5 * (f[i] - scene.centre[i]) * row
-    return total
+    return half_square(scene.precision, f, scene.centre)

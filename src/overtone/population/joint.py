@@ -119,7 +119,7 @@ def infer(
     amplitude = np.stack([t.amplitude for t in tiles])
     size = data.y.shape[1]
     free = free_properties(question)
-    unknowns = int(free.sum()) + len(settings)
+    unknowns, shared = int(free.sum()) + len(settings), tiles[0].changes.shape[2]
     # before the bend of a phase is known its mean is trusted less
     bends = [Bend(np.zeros(size), _root(_AT_FIRST * t.within)) for t in tiles]
     scatter = [np.full(PROPERTIES, TYPICAL) for _ in tiles]
@@ -131,7 +131,6 @@ def infer(
         alone = profiles_of(question, evidence, amplitude, known, alone or ())
         if alone is None:
             return None
-        shared = tiles[0].changes.shape[2]
         z = np.asarray(np.linalg.solve(evidence.z_precision, evidence.z_pull))[:shared]
         spreads, responses, bends = [], [], []
         for k, t in enumerate(tiles):

@@ -212,9 +212,8 @@ def find_materials(
     for k in range(found.count):
         joint, place = joints.get(k, (None, 0))
         merged = mixed[k]
-        if joint is not None:
+        if joint is not None and not drawn:
             merged = merged or _wanders(joint, place) > _GRADIENT
-        merged = merged and not drawn
         materials.append(
             Material(k, len(members[k]), int(found.domains[k]), not merged, k == which, joint, place)
         )
